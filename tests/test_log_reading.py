@@ -188,7 +188,7 @@ REFUSALS: list[tuple[str, str, Row, dict[str, Any] | None, str]] = [
     ("counts", "t [s];x [counts];F [N]", usual, None, 'unit = "counts", counts_per = ...'),
     ("current", "t [s];x [m];F [A]", usual, None, 'force_N = { variable = "F .A.", unit = "A", scale = ... }'),
     ("name and unit row", "time_s;position_m;force_N\ns;mm;N", usual, None, "position_m, unit = 'mm'.*which holds"),
-    ("both kinds", "t [s];position_m;position_rad", usual, None, "position_m or position_rad = ..."),
+    ("both kinds", "t [s];position_m;position_rad", usual, None, "position_m = .* or position_rad = .* unit = .rad. "),
     ("twice", "t [s];x [m];x [m];F [N]", lambda k: (*usual(k), "1"), {"position_m": "x [m]"}, r"x \[m\] \(1\) or"),
     ("absent", "t [s];x [m];F [N]", usual, {"force_N": "u"}, r"\(log.force_N\)"),
     ("no header", "", usual, None, "no header was found above its rows"),
@@ -221,7 +221,7 @@ REFUSALS: list[tuple[str, str, Row, dict[str, Any] | None, str]] = [
         r"row 1 \(line 2\), column F \[N\] = '1\.200'.*decimal = \",\" or",
     ),
     ("other mark", PLAIN, lambda k: (usual(k)[0], "1,5", "2.5"), None, r"row 1 \(line 2\), column x \[m\] = '1,5'"),
-    ("space in number", PLAIN, lambda k: (usual(k)[0], "1 234.5", "2.5"), None, "= '1 234.5': a number"),
+    ("space in number", PLAIN, lambda k: (usual(k)[0], "12 34.5", "2.5"), None, "= '12 34.5': a number"),
     ("unit in field", PLAIN, lambda k: (usual(k)[0], "1.5 m", "2.5"), None, "= '1.5 m': a number"),
     ("header again", PLAIN, lambda k: usual(k) if k != 9 else ("t", "x", "F"), None, r"row 10 \(line 11\)"),
     ("coarse clock", PLAIN, lambda k: (f"10:00:{k // 10:02d}", "1", "2"), None, "time stamps coarser than the samples"),
@@ -320,11 +320,33 @@ def test_numbers_are_read_to_the_last_digit(value: float, mark: Any) -> None:
         ("1,234", "either"),
         ("1.234", None),
         ("1234", None),
+        ("1'234,567", ","),
+        ("\N{MINUS SIGN}1\N{NARROW NO-BREAK SPACE}234.5", "."),
+        ("1 234", None),
         ("words, and", None),
     ],
 )
 def test_what_a_number_tells_of_the_decimal_mark(token: str, mark: str | None) -> None:
     assert told_by(token) == mark
+
+
+@pytest.mark.parametrize("group", [" ", "'", "\N{RIGHT SINGLE QUOTATION MARK}", "\N{NO-BREAK SPACE}"])
+@pytest.mark.parametrize("mark", [".", ","])
+def test_groups_by_spaces_and_apostrophes_are_one_number(group: str, mark: str, tmp_path: Path) -> None:
+    def form(value: float) -> str:
+        grouped = f"{value:,.3f}".replace(",", "g").replace(".", mark).replace("g", group)
+        return grouped.replace("-", "\N{MINUS SIGN}") if value < 0.0 else f"[{grouped}]"
+
+    values = [1234.5, -1234567.25, 0.125, -999.5] * 5
+    found = reading(tmp_path, PLAIN, lambda k: (str(k), form(values[k]), form(-values[k])))
+    np.testing.assert_array_equal(found.columns["position_m"], values)
+    np.testing.assert_array_equal(found.columns["force_N"], np.negative(values))
+
+
+@pytest.mark.parametrize("token", ["12 34", "0 123", "1 234 56", "1' 234", "[1.5", "[1, 2]"])
+def test_what_only_resembles_groups_is_no_number(token: str, tmp_path: Path) -> None:
+    message = refusal(tmp_path, PLAIN, lambda k: (str(k), token if k == 7 else "1.5", "2"))
+    assert "row 8 (line 9), column x [m]" in message and "a number with a decimal point" in message
 
 
 # --- matrices, counts, optional libraries -----------------------------------------------------------------------

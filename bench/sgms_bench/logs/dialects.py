@@ -264,6 +264,9 @@ DIALECTS: dict[str, Dialect] = {
         text(";", names=("t [us]", "x [m]", "F [N]"), number=group_digits, scaled=(1e6, 1.0, 1.0)),
         exact=False,
     ),
+    "typeset minus, cells in brackets": Dialect(
+        ".csv", text(",", number=lambda value: f"[{value!r}]".replace("-", "\N{MINUS SIGN}"))
+    ),
     "exponents with D": Dialect(".csv", text(",", number=lambda value: f"{value:.17e}".replace("e", "D"))),
     "no header": Dialect(
         ".csv",

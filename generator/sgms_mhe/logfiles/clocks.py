@@ -1,14 +1,17 @@
-"""Columns that were sampled at times of their own, onto the clock of the position."""
+"""Clocks of a log: whole and parts of seconds in two columns; columns with times of their own, onto position's."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sgms_mhe.logfiles.table import Array
+from sgms_mhe.logfiles.table import Array, Column, Table
 from sgms_mhe.logfiles.timing import GAP
 from sgms_mhe.support.errors import InputError
 
@@ -16,6 +19,41 @@ Note = Callable[[str], None]
 
 LEAST: Final = 2
 """Samples that a line goes through."""
+_PART: Final = re.compile(r"(?P<of>.*?)[\s_.:/]*(?P<unit>(?:nano|micro|n|u)?sec(?:ond)?s?)", re.IGNORECASE)
+_PARTS_IN_A_SECOND: Final = {"n": 1e9, "m": 1e6, "u": 1e6}
+
+
+def join_seconds(table: Table) -> Table:
+    """The table with a column of time stamps for each two of whole seconds and of the parts beyond them.
+
+    Such as `stamp.sec` and `stamp.nanosec`, as ROS writes them; other columns of these names are what they are.
+    """
+    found: dict[str, dict[str, Column]] = {}
+    for column in table.columns:
+        if name := _PART.fullmatch(column.header):
+            unit = name["unit"][0].lower()
+            found.setdefault(name["of"], {})["whole" if unit == "s" else unit] = column
+    stamps: dict[str, NDArray[Any]] = {}
+    for columns in found.values():
+        unit = next((unit for unit in columns if unit != "whole"), None)
+        if "whole" in columns and unit is not None:
+            whole, part = (np.asarray(table.read([c.name])[c.name]) for c in (columns["whole"], columns[unit]))
+            if ((whole % 1 == 0) & (part >= 0) & (part < _PARTS_IN_A_SECOND[unit])).all() and whole.ndim == 1:
+                since = (whole - whole[0]) + (part - part[0]) / _PARTS_IN_A_SECOND[unit]
+                stamps[f"{columns['whole'].name} + {columns[unit].name}"] = since
+    if not stamps:
+        return table
+
+    def read(wanted: Sequence[str]) -> Mapping[str, NDArray[Any]]:
+        own = table.read([name for name in wanted if name not in stamps])
+        return {**own, **{name: stamps[name] for name in wanted if name in stamps}}
+
+    return replace(
+        table,
+        columns=(*table.columns, *(Column(name, "time", "s") for name in stamps)),
+        read=read,
+        stamped=table.stamped | set(stamps),
+    )
 
 
 def align_clocks(path: Path, columns: Mapping[str, Array], clocks: Mapping[str, Array], note: Note) -> dict[str, Array]:

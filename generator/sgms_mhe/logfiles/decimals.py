@@ -15,6 +15,8 @@ MISSING: Final = frozenset(
 _EXPONENT: Final = r"(?:[eEdD][+-]?\d+)?"
 _PLAIN: Final = re.compile(rf"[+-]?(?:\d+[.,]?\d*|[.,]\d+){_EXPONENT}", re.ASCII)
 _GROUPED: Final = re.compile(rf"[+-]?\d{{1,3}}(?:(?:,\d{{3}})+(?:\.\d*)?|(?:\.\d{{3}})+(?:,\d*)?){_EXPONENT}", re.ASCII)
+_SPACED: Final = re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:[ '’]\d{{3}})+(?:[.,]\d*)?{_EXPONENT}", re.ASCII)
+"""Groups of three digits whose mark is no decimal mark."""
 _INFINITE: Final = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE)
 _QUICK: Final = re.compile(r"-?\d+\.?\d*(?:[eE][+-]?\d+)?", re.ASCII)
 _COULD_BE_GROUPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
@@ -22,6 +24,7 @@ _WITHOUT_GROUPS: Final = {
     ".": re.compile(rf"[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}", re.ASCII),
     ",": re.compile(rf"[+-]?(?:\d+,?\d*|,\d+){_EXPONENT}", re.ASCII),
 }
+_MINUS: Final = "\N{MINUS SIGN}"
 _WITH_GROUPS: Final = {
     ".": re.compile(rf"[+-]?\d{{1,3}}(?:,\d{{3}})+(?:\.\d*)?{_EXPONENT}", re.ASCII),
     ",": re.compile(rf"[+-]?\d{{1,3}}(?:\.\d{{3}})+(?:,\d*)?{_EXPONENT}", re.ASCII),
@@ -33,8 +36,17 @@ def is_missing(token: str) -> bool:
     return token.lower() in MISSING
 
 
+def _plain(token: str) -> str:
+    """A field without what no decimal mark can be: groups of thousands by spaces or apostrophes, a typeset minus."""
+    if token.isascii() and " " not in token and "'" not in token:
+        return token
+    token = token.replace(_MINUS, "-")
+    return re.sub(r"[\s'’]", "", token) if _SPACED.fullmatch(re.sub(r"\s", " ", token)) else token
+
+
 def is_number(token: str) -> bool:
     """Return True if a field is a number by one of the decimal marks."""
+    token = _plain(token)
     return bool(_PLAIN.fullmatch(token) or _GROUPED.fullmatch(token) or _INFINITE.fullmatch(token))
 
 
@@ -44,6 +56,7 @@ def value_of(token: str, mark: Mark) -> float:
         return float(token)
     if is_missing(token):
         return float("nan")
+    token = _plain(token)
     if _INFINITE.fullmatch(token):
         return float(token)
     other = "," if mark == "." else "."
@@ -65,6 +78,7 @@ def told_by(token: str) -> Mark | Literal["either"] | None:
     """
     if not ("," in token or "." in token) or not is_number(token):
         return None
+    token = _plain(token)
     last = max(token.rfind(","), token.rfind("."))
     mark: Mark = "," if token[last] == "," else "."
     other: Mark = "." if mark == "," else ","

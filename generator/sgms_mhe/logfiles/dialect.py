@@ -95,14 +95,20 @@ class Dialect:
 
 
 def fields_of(line: str, separator: str) -> list[str]:
-    """Fields of a line, without the spaces and quotation marks around them."""
+    """Fields of a line, without the spaces and quotation marks around them, and the brackets of a list of one."""
     if separator == " ":
         parts = re.findall(r'"[^"]*"|\S+', line) if '"' in line else line.split()
     elif '"' in line:
         parts = next(csv.reader([line.strip()], delimiter=separator, skipinitialspace=True), [])
     else:
         parts = line.split(separator)
-    return [part.strip().strip('"').strip() for part in parts]
+    fields = [part.strip().strip('"').strip() for part in parts]
+    return [field[1:-1].strip() if field[:1] == "[" and _is_list_of_one(field) else field for field in fields]
+
+
+def _is_list_of_one(field: str) -> bool:
+    inner = field[1:-1].strip()
+    return field[-1] == "]" and (_is_value(inner) or is_missing(inner))
 
 
 def lines_of(text: str) -> list[str]:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, damage_error, real
-from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import optional_library
 
 _WHOLE = "a whole MDF file of numeric channels"
@@ -20,8 +19,7 @@ _WHOLE = "a whole MDF file of numeric channels"
 def read_mdf(path: Path) -> Table:
     """The table of all channels, the time of each group among them; the file states their units.
 
-    Wanted channels have to be of one group, or sampled at the same times. Raises InputError for a damaged file and
-    where asammdf is absent, OSError as open does.
+    Raises InputError for a damaged file and where asammdf is absent, OSError as open does.
     """
     asammdf = optional_library("asammdf", "mdf", "MDF", path)
     with path.open("rb"):
@@ -45,10 +43,13 @@ def read_mdf(path: Path) -> Table:
         columns = columns_of([channel.name for channel in channels], [channel.unit or "" for channel in channels])
         masters = {g: content.masters_db.get(g) for g in range(len(content.groups))}
     where = {column.name: place for column, place in zip(columns, places, strict=True)}
+    at = {place: name for name, place in where.items()}
+    clocks = {
+        name: at[g, master] for name, (g, c) in where.items() if (master := masters[g]) is not None and c != master
+    }
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
         values: dict[str, Array] = {}
-        times: dict[str, Array] = {}
         with open_file() as content:
             for name in names:
                 group, channel = where[name]
@@ -56,23 +57,13 @@ def read_mdf(path: Path) -> Table:
                     signal = content.get(group=group, index=channel)
                 except Exception as error:
                     raise damage_error(path, _WHOLE, error) from None
-                is_master = masters[group] == channel
-                times[name] = np.asarray(signal.timestamps, dtype=np.float64)
-                values[name] = times[name] if is_master else real(path, f"channel {name}", signal.samples)
-        _check_times(path, times)
+                is_clock = masters[group] == channel
+                time = np.asarray(signal.timestamps, dtype=np.float64)
+                values[name] = time if is_clock else real(path, f"channel {name}", signal.samples)
         return values
 
-    return Table("MDF", columns, read, array_row)
+    return Table("MDF", columns, read, array_row, clocks=clocks)
 
 
 def _silent(unraisable: Any) -> None:
     """Silence the complaints of asammdf about a damaged file that it leaves half open; the refusal says it."""
-
-
-def _check_times(path: Path, times: Mapping[str, Array]) -> None:
-    """Refuse channels that were not sampled together."""
-    first, *others = times
-    for name in others:
-        if not np.array_equal(times[name], times[first]):
-            allowed = f"channels sampled together; {first} has {len(times[first])} samples at other times"
-            raise InputError(path, f"channel {name}", f"{len(times[name])} samples", allowed)

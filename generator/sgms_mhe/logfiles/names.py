@@ -1,7 +1,7 @@
 """Names of columns: which quantity a name is, and the unit in it.
 
 A name is a quantity where it is that quantity's word and words that say it was measured (actual, ist, feedback), and
-nothing else: a set point, an error, a limit has a word more.
+nothing else: a set point, an error, a limit has a word more. Axes of one machine have a number more.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from sgms_mhe.machine import Role, normal_unit
 _WORDS: Final[Mapping[Role, str]] = {
     "time": "t|time|zeit|timestamp|zeitstempel|datetime|elapsed|elapsedtime|temps|tempo|tiempo|时间|時間",
     "position": "x|q|pos|position|lage|weg|angle|winkel|phi|theta|encoder|encoderposition|rotorposition|pfb|plfb|"
-    "posizione|posición|posicion|位置|角度|θ|φ",
+    "(?:g[n1-3])?xist[12]|posizione|posición|posicion|位置|角度|θ|φ",
     "force": "f|u|force|kraft|torque|trq|moment|drehmoment|m|tau|current|strom|iq|i|ilfb|effort|couple|coppia|par|"
     "forza|fuerza|转矩|扭矩|トルク|电流|電流|τ",
-    "velocity": "v|vel|velocity|speed|geschwindigkeit|drehzahl|omega|w|vfb|vlfb|vitesse|velocità|velocidad|速度|ω",
+    "velocity": "v|vel|velocity|speed|dq|qd|qdot|geschwindigkeit|drehzahl|omega|w|vfb|vlfb|vitesse|velocità|velocidad|"
+    "速度|ω",
 }
 _MEASURED: Final = (
-    "actual|act|ist|istwert|value|wert|measured|meas|mess|feedback|fbk|fb|motor|drive|antrieb|axis|achse|joint|load|"
-    "encoder"
+    "actual|act|active|ist|istwert|value|wert|measured|meas|mess|feedback|fbk|fb|estimate|motor|drive|antrieb|axis|"
+    "achse|joint|load|encoder|g[n1-3]xist"
 )
 _WANTED: Final = re.compile(
     r"(?:^|[\s_.\-/:])(?:set|soll|cmd|command|ref|reference|demand|target|desired|err|error|following|fehler|schlepp)",
@@ -33,6 +34,8 @@ _PATTERNS: Final = {
     role: re.compile(rf"(?:(?:{_MEASURED}|current)\d*)*(?:{words})(?:(?:{_MEASURED})\d*)*")
     for role, words in _WORDS.items()
 }
+_AXIS: Final = re.compile(r"(.*?[^\W\d])(?:j?\d{1,2}|j)")
+"""A name with the number of an axis behind it: q1, tau_J3."""
 
 
 _PARAMETER: Final = re.compile(
@@ -70,10 +73,15 @@ def plain_name(name: str) -> str:
     return re.sub(r"[\s_.,:\-/]+", "", name).casefold()
 
 
-def is_usual(header: str, role: Role) -> bool:
-    """Return True for a usual name of a measured quantity, whole or the end of a path."""
+def is_usual(header: str, role: Role, *, numbered: bool = False) -> bool:
+    """Return True for a usual name of a measured quantity, whole or the end of a path; `numbered`: of one of many axes.
+
+    Time has no axis.
+    """
     name = _INDEX.sub("", _PARAMETER.sub("", split_name(header)[0]))
     if role not in _PATTERNS or _WANTED.search(name):
         return False
-    ends = (name[mark.end() :] for mark in re.finditer(r"[.:/]", name))
-    return any(_PATTERNS[role].fullmatch(plain_name(end)) for end in (name, *ends))
+    names = [plain_name(end) for end in (name, *(name[mark.end() :] for mark in re.finditer(r"[.:/]", name)))]
+    if numbered:
+        names = [found[1] for end in names if role != "time" and (found := _AXIS.fullmatch(end))]
+    return any(_PATTERNS[role].fullmatch(end) for end in names)

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.logfiles.clocks import Note
+from sgms_mhe.logfiles.clocks import Note, join_seconds
 from sgms_mhe.logfiles.hdf5 import read_hdf5
 from sgms_mhe.logfiles.mat import read_mat
 from sgms_mhe.logfiles.mdf import read_mdf
@@ -215,7 +215,7 @@ def read_table(path: Path, mapping: LogMapping | None) -> Table:
     named = [column.name.partition(":")[0] for column in mapping.columns.values()] if mapping is not None else []
     for file in dict.fromkeys(name for name in named if Path(name).suffix.lower() in (*READERS, *TEXTS)):
         table = _join(table, file, _read_file(path.parent / file.replace("{stem}", path.stem), None, 1))
-    return table
+    return join_seconds(table)
 
 
 def _join(table: Table, file: str, other: Table) -> Table:

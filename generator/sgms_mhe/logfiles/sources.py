@@ -70,7 +70,7 @@ def choose_sources(
     has_clock = not table.clocks or "time_s" in stated
     time = find("time", by_name=True, required=not by_rate) if has_clock else None
     position = find("position", by_name=True, required=False)
-    is_unread = position is None and any(is_usual(column.header, "position") for column in table.columns)
+    is_unread = position is None and bool(_usual(table, "position"))
     asked = stated.get(quantities["velocity"].column)
     if is_unread and (asked is None or asked.is_bare):
         raise _missing(path, table, quantities["position"], None)
@@ -116,6 +116,13 @@ def _stated_unit(column: Column, quantity: Quantity) -> str:
     return "N m" if unit in ("nm", "NM") and quantity.unit == "N m" else unit  # no torque is in nanometres
 
 
+def _usual(table: Table, role: Role) -> list[Column]:
+    """Columns with usual names of a quantity; those of one of many axes where there are no others."""
+    return [column for column in table.columns if is_usual(column.header, role)] or [
+        column for column in table.columns if is_usual(column.header, role, numbered=True)
+    ]
+
+
 def _is_own(column: Column, quantity: Quantity) -> bool:
     """Return True for the log's own name of a quantity, behind the path of a group or struct or before a unit too."""
     return quantity.column in (re.split(r"[.:/]", name)[-1] for name in (column.header, split_name(column.header)[0]))
@@ -130,7 +137,7 @@ def _candidates(table: Table, quantity: Quantity, bare: LogColumn | None, *, by_
     own = own or [column for column in table.columns if _is_own(column, quantity)]
     if own or not by_name:
         return own
-    named = [column for column in table.columns if is_usual(column.header, quantity.role)]
+    named = _usual(table, quantity.role)
     stamps = [column for column in named if column.name in table.stamped] if quantity.role == "time" else []
     if bare is not None and (bare.unit is not None or bare.scale != 1.0):
         stated = [column for column in named if _stated_unit(column, quantity) == normal_unit(bare.unit or "")]
@@ -144,11 +151,19 @@ def _kind(path: Path, table: Table, mapping: LogMapping | None, preferred: Kind 
         return mapping.kind
     found = _kinds(table, mapping, sure=True) or _kinds(table, mapping, sure=False)
     if len(found) == 2 and preferred is None:
-        allowed = "columns of one kind of axis; [log] of the machine file says which: position_m or position_rad = ..."
+        which = " or ".join(_position_line(table, kind) for kind in found)
+        allowed = f"columns of one kind of axis; [log] of the machine file says which: {which}"
         raise InputError(path, "columns", _shown(table), allowed)
     if not found and preferred is None:
         found = _kinds_by_units(table)
     return preferred if preferred is not None and (preferred in found or not found) else [*found, "linear"][0]
+
+
+def _position_line(table: Table, kind: Kind) -> str:
+    """The line of [log] that would say that a file is of this kind of axis."""
+    quantity = next(q for q in QUANTITIES[kind] if q.role == "position")
+    named = _candidates(table, quantity, None, by_name=True)
+    return _line(quantity, named[0].name, _stated_unit(named[0], quantity)) if named else f"{quantity.column} = ..."
 
 
 def _kinds_by_units(table: Table) -> list[Kind]:
@@ -193,7 +208,8 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
             found = [candidate for candidate in found if _is_own(candidate, quantity)]
         if len(found) > 1:
             names = ", ".join(candidate.name for candidate in found)
-            allowed = f"one column; [log] of the machine file says which: {_line(quantity, found[0].name)}"
+            line = _line(quantity, found[0].name, _stated_unit(found[0], quantity))
+            allowed = f"one column; [log] of the machine file says which: {line}"
             raise InputError(path, f"column {quantity.column}", found[0].header if _same(found) else names, allowed)
         if not found:
             if named is None:
@@ -216,19 +232,22 @@ def _same(columns: Sequence[Column]) -> bool:
 
 
 def _line(quantity: Quantity, name: str, unit: str = "") -> str:
-    """The line of [log] that a user may write."""
-    return f'{quantity.column} = {{ variable = "{name}", unit = "{unit or "..."}" }}'
+    """The line of [log] that a user may write, with what a unit needs beside it."""
+    needed = ", counts_per = ..." if unit in COUNTS else ", scale = ..." if unit in quantity.recorded else ""
+    return f'{quantity.column} = {{ variable = "{name}", unit = "{unit or "..."}"{needed} }}'
 
 
 def _missing(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None) -> InputError:
     wanted = quantity.column
     if mapped is not None:
         wanted = f"{mapped.description} (log.{quantity.column}) or {quantity.column}"
-    named = next((column for column in table.columns if is_usual(column.header, quantity.role)), None)
-    if named is not None:
-        stated = _stated_unit(named, quantity)
+    if named := _usual(table, quantity.role):
+        stated = _stated_unit(named[0], quantity)
         seen = f"in {stated}, which is none of {', '.join(quantity.allowed)}" if stated else "without a unit"
-        hint = f"{named.name} is there {seen}; [log] of the machine file says: {_line(quantity, named.name)}"
+        is_one = len(named) == 1
+        there = f"{named[0].name} is there" if is_one else f"{', '.join(c.name for c in named[:SHOWN])} are there"
+        says = "says" if is_one else "says which"
+        hint = f"{there} {seen}; [log] of the machine file {says}: {_line(quantity, named[0].name)}"
     else:
         hint = f"[log] of the machine file says where it is: {_line(quantity, '...')}"
         hint += "; where there is none it has rate = ... [Hz], as --rate" if quantity.role == "time" else ""
@@ -289,10 +308,10 @@ def _check_unit(path: Path, quantity: Quantity, column: Column, unit: str) -> st
     where = f"column {column.name}, unit"
     if unit in COUNTS and unit in quantity.allowed:
         per = "revolution" if quantity.unit.startswith("rad") else "metre"
-        line = f'{quantity.column} = {{ variable = "{column.name}", unit = "{unit}", counts_per = ... }}'
+        line = _line(quantity, column.name, unit)
         raise InputError(path, where, unit, f"how many make a {per}; [log] of the machine file says: {line}")
     if unit in quantity.recorded:
-        line = f'{quantity.column} = {{ variable = "{column.name}", unit = "{unit}", scale = ... }}'
+        line = _line(quantity, column.name, unit)
         raise InputError(path, where, unit, f"{quantity.unit} per {unit}; [log] of the machine file says: {line}")
     allowed = f"one of {', '.join(quantity.allowed)}; [log] of the machine file says: {_line(quantity, column.name)}"
     raise InputError(path, where, unit, allowed)

@@ -211,5 +211,11 @@ def table_of_flags(
             roles = listing(dict.fromkeys(quantity.role for quantity in BY_COLUMN.values()))
             wanted = f"{name}={' or '.join(allowed)}" if quantities else f"a quantity out of {roles}, torque"
             raise InputError("command line", "--unit", f"{name}={unit}", wanted)
+        if normal_unit(unit) in COUNTS:
+            lines = " or ".join(
+                f'{q.column} = {{ unit = "{normal_unit(unit)}", counts_per = ... }}' for q in quantities if q.counted
+            )
+            wanted = f"counts per metre or revolution, as a table [log] says, --log FILE.toml: {lines}"
+            raise InputError("command line", "--unit", f"{name}={unit}", wanted)
         state(role, "unit", unit)
     return table

@@ -116,7 +116,6 @@ _SPELLINGS: Final = {
     **dict.fromkeys(("radian", "radians", "Rad", "RAD"), "rad"),
     **dict.fromkeys(("revs", "revolution", "revolutions", "turn", "turns"), "rev"),
     **dict.fromkeys(("count", "cnt", "cnts", "cts", "inc", "incs", "increment", "increments", "ticks"), "counts"),
-    **dict.fromkeys(("cnt/s", "cts/s", "inc/s", "increments/s"), "counts/s"),
     **dict.fromkeys(("rev/min", "1/min", "min^-1", "RPM", "U/min"), "rpm"),
     **dict.fromkeys(("newton", "newtons", "Newton"), "N"),
     **dict.fromkeys(("N-m", "newton meter", "newton meters", "newton metre", "newton metres"), "N m"),
@@ -141,4 +140,5 @@ def normal_unit(text: str) -> str:
     unit = re.sub(r" ?s\^?-1$", "/s", unit) if len(unit) > 3 else unit
     unit = re.sub(r" ?s\^?-2$|/s2$|/s/s$", "/s^2", unit)
     unit = re.sub(r"^(m|k)?N ?(m|cm)$", lambda found: f"{found[1] or ''}N {found[2]}", unit)
-    return _SPELLINGS.get(unit, unit)
+    whole, mark, time = unit.partition("/")
+    return _SPELLINGS.get(unit) or _SPELLINGS.get(whole, whole) + mark + _SPELLINGS.get(time, time)
