@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
@@ -178,6 +179,37 @@ def parquet(path: Path, log: Log) -> None:
     tables.write_table(pyarrow.table(columns, schema=pyarrow.schema(fields)), path)
 
 
+def feather(path: Path, log: Log) -> None:
+    """Columns that say their units in their names."""
+    pyarrow, tables = import_module("pyarrow"), import_module("pyarrow.feather")
+
+    tables.write_feather(pyarrow.table({name: pyarrow.array(values) for name, values in log.columns.items()}), path)
+
+
+def samples(log: Log) -> list[dict[str, Any]]:
+    """An object for each sample, as messages of ROS are."""
+    values = zip(log.time_s.tolist(), log.position_m.tolist(), log.force_N.tolist(), strict=True)
+    return [{"header": {"time_s": t}, "state": {"position [m]": [x], "force [N]": [f]}} for t, x, f in values]
+
+
+def json_lines(path: Path, log: Log) -> None:
+    """A line for each sample."""
+    path.write_text("\n".join(map(json.dumps, samples(log))))
+
+
+def json_list(path: Path, log: Log) -> None:
+    """An element for each sample."""
+    path.write_text(json.dumps(samples(log), indent=1))
+
+
+LABVIEW = (
+    "LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t,\nX_Columns\tOne\n***End_of_Header***\t\n"
+    "\nChannels\t2\t\t\nY_Unit_Label\tm\tN\t\nX_Dimension\tTime\tTime\t\nDelta_X\t0,001\t0,001\t\n"
+    "***End_of_Header***\t\t\t\nX_Value\tPosition\tForce\tComment"
+).split("\n")
+"""Above the samples of a measurement file."""
+
+
 def mdf4(path: Path, log: Log) -> None:
     """Two channels of one group."""
     asammdf = import_module("asammdf")
@@ -323,6 +355,10 @@ DIALECTS: dict[str, Dialect] = {
         {name: {"member": "rec.all", "row": k + 1} for k, name in enumerate(OWN)},
         library="h5py",
     ),
+    "JSON lines": Dialect(".jsonl", json_lines),
+    "JSON, a list": Dialect(".json", json_list),
+    "LabVIEW": Dialect(".lvm", text("\t", names=None, number=comma, before=LABVIEW)),
+    "Feather": Dialect(".feather", feather, library="pyarrow"),
     "Parquet": Dialect(".parquet", parquet, library="pyarrow"),
     "MDF 4": Dialect(
         ".mf4", mdf4, {"time_s": "time", "position_m": "ActPos", "force_N": "ActForce"}, library="asammdf"

@@ -49,7 +49,7 @@ class Dialect:
         names: of the columns, as they stand in the header; `column 1`, ... where there is none.
         units: of the unit row, as many as names; empty where there is none.
         header_line: number of the line that names stand in; 0 where there is none.
-        rows: (line number, line) of every sample.
+        rows: (line number, line) of every sample; 0 where samples are no lines.
         before: lines before the header; `after`: lines after the last sample; `comments`: lines between samples that
             are none.
         first: samples before these rows, where they are a piece of a text.
@@ -71,7 +71,8 @@ class Dialect:
 
     def row(self, index: int) -> str:
         """Where a sample stands."""
-        return f"row {self.first + index + 1} (line {self.rows[index][0]})"
+        line = self.rows[index][0]
+        return f"row {self.first + index + 1}" + (f" (line {line})" if line else "")
 
     @property
     def lead(self) -> int:

@@ -6,6 +6,14 @@
     0               1.25    0               3.5                                   0               1.25    3.5
 
 Every channel then has a column of times before its own, or the first column is the time of all.
+
+LabVIEW's measurement files (.lvm) have a header, and such rows above it:
+
+    Y_Unit_Label    mm      N
+    X_Dimension     Time    Time
+    ***End_of_Header***
+    X_Value         ActPos  Force   Comment
+    0.0005          1.25    3.5
 """
 
 from __future__ import annotations
@@ -17,6 +25,13 @@ from dataclasses import dataclass
 from sgms_mhe.logfiles.decimals import Mark, is_number, value_of
 
 _NAME, _UNIT, _STEP, _SCALE, _OFFSET = "name", "unit", "sampletime", "scalefactor", "offset"
+_X_VALUE, _Y_UNIT, _X_DIMENSION, _END, _COMMENT = (
+    "X_Value",
+    "Y_Unit_Label",
+    "X_Dimension",
+    "***End_of_Header***",
+    "Comment",
+)
 
 
 @dataclass(frozen=True)
@@ -45,6 +60,8 @@ def find_key_rows(rows: Sequence[tuple[int, Sequence[str]]], count: int, decimal
         count: of the fields that samples have.
         decimal: mark of their numbers.
     """
+    if rows and rows[0][1][0] == _X_VALUE:
+        return _understand_lvm(rows, count)
     keyed: dict[str, tuple[int, Sequence[str]]] = {}
     labels: dict[str, str] = {}
     for line, fields in rows:
@@ -78,4 +95,31 @@ def find_key_rows(rows: Sequence[tuple[int, Sequence[str]]], count: int, decimal
         units,
         {k: k - 1 for k in values} if paired else {},
         {k: scale for k, scale in scales.items() if scale != (1.0, 0.0)},
+    )
+
+
+def _understand_lvm(rows: Sequence[tuple[int, Sequence[str]]], count: int) -> KeyRows | None:
+    """Keys of LabVIEW's columns, a header the first of the rows; None where it has not as many names as samples."""
+    (line, header), *above = rows
+    names = header[:-1] if len(header) == count + 1 and header[-1] == _COMMENT else header
+    if len(names) != count:
+        return None
+    keyed: dict[str, Sequence[str]] = {}
+    for _, fields in above[1:] if above and above[0][1][0] == _END else above:
+        if fields[0] == _END:
+            break
+        keyed[fields[0]] = fields
+
+    def stated(key: str, index: int) -> str:
+        return "".join(keyed.get(key, ())[index : index + 1])
+
+    is_timed = not any(list(fields[:2]) == ["X_Columns", "No"] for _, fields in above)
+    clocks = [k for k, name in enumerate(names) if name == _X_VALUE and is_timed]
+    time = "s" if "Time" in keyed.get(_X_DIMENSION, ()) else ""
+    return KeyRows(
+        line,
+        tuple("Time" if k in clocks else name for k, name in enumerate(names)),
+        tuple(time if k in clocks else stated(_Y_UNIT, k) for k in range(count)),
+        {k: k - 1 for k in range(count) if k - 1 in clocks} if len(clocks) > 1 else {},
+        {},
     )

@@ -1,8 +1,8 @@
-"""Columns of a Parquet file, by pyarrow."""
+"""Columns of Parquet and Feather files, by pyarrow."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,6 @@ from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_erro
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import optional_library
 
-_WHOLE = "a whole Parquet file, its columns numbers or time stamps"
-
 
 def read_parquet(path: Path) -> Table:
     """The table of a Parquet file; a unit is a field's metadata `unit`. Null is a missing sample.
@@ -21,27 +19,42 @@ def read_parquet(path: Path) -> Table:
     Raises InputError for a damaged file and where pyarrow is absent, OSError as open does.
     """
     parquet = optional_library("pyarrow.parquet", "parquet", "Parquet", path)
-    arrow = optional_library("pyarrow", "parquet", "Parquet", path)
+    return _read(path, "Parquet", parquet.read_schema, parquet.read_table)
+
+
+def read_feather(path: Path) -> Table:
+    """The table of a Feather file of either version, which is Arrow's too, as `read_parquet`."""
+    feather = optional_library("pyarrow.feather", "parquet", "Feather", path)
+
+    def schema(name: Path) -> Any:
+        return feather.read_table(name, memory_map=True).schema
+
+    return _read(path, "Feather", schema, feather.read_table)
+
+
+def _read(path: Path, form: str, read_schema: Callable[[Path], Any], read_columns: Callable[..., Any]) -> Table:
+    arrow = optional_library("pyarrow", "parquet", form, path)
+    damaged = f"a whole {form} file, its columns numbers or time stamps"
     with path.open("rb"):
-        pass  # a file that cannot be opened is told from one that is no Parquet
+        pass  # a file that cannot be opened is told from a damaged one
     try:
-        schema = parquet.read_schema(path)
+        schema = read_schema(path)
     except (arrow.ArrowException, OSError, ValueError) as error:
-        raise damage_error(path, _WHOLE, error) from None
+        raise damage_error(path, damaged, error) from None
     columns = tuple(Column(entry.name, entry.name, _unit(entry.metadata)) for entry in schema)
     stamped = frozenset(entry.name for entry in schema if arrow.types.is_timestamp(entry.type))
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
         try:
-            content = parquet.read_table(path, columns=list(names))
+            content = read_columns(path, columns=list(names))
             values = {name: content.column(name).to_numpy() for name in names}
             return {name: _values(path, name, value, name in stamped) for name, value in values.items()}
         except InputError:
             raise
         except (arrow.ArrowException, OSError, ValueError) as error:
-            raise damage_error(path, _WHOLE, error) from None
+            raise damage_error(path, damaged, error) from None
 
-    return Table("Parquet", columns, read, array_row, stamped=stamped)
+    return Table(form, columns, read, array_row, stamped=stamped)
 
 
 def _unit(metadata: Any) -> str:

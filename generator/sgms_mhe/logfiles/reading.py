@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from sgms_mhe.logfiles.clocks import Note, join_seconds
 from sgms_mhe.logfiles.hdf5 import read_hdf5
+from sgms_mhe.logfiles.json_files import SUFFIXES
 from sgms_mhe.logfiles.mat import read_mat
 from sgms_mhe.logfiles.mdf import read_mdf
 from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.numpy_files import read_numpy
-from sgms_mhe.logfiles.parquet import read_parquet
+from sgms_mhe.logfiles.parquet import read_feather, read_parquet
 from sgms_mhe.logfiles.quantities import integrate, si_values
 from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
@@ -35,6 +36,7 @@ READERS: Final[Mapping[str, Callable[[Path], Table]]] = MappingProxyType(
         ".npy": read_numpy,
         **dict.fromkeys((".h5", ".hdf5", ".hdf"), read_hdf5),
         **dict.fromkeys((".parquet", ".pq"), read_parquet),
+        **dict.fromkeys((".feather", ".arrow"), read_feather),
         **dict.fromkeys((".mf4", ".mdf"), read_mdf),
     }
 )
@@ -43,7 +45,7 @@ READERS: Final[Mapping[str, Callable[[Path], Table]]] = MappingProxyType(
 MOST_REPEATED: Final = 0.01
 """Share of the samples that may have the time of the one before: beyond it the stamps are coarser than the samples."""
 
-TEXTS: Final = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn", ".log")
+TEXTS: Final = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn", ".log", ".lvm")
 """Suffixes of delimited text."""
 
 
@@ -213,7 +215,7 @@ def read_table(path: Path, mapping: LogMapping | None) -> Table:
     """
     table = _read_file(path, mapping, 2)
     named = [column.name.partition(":")[0] for column in mapping.columns.values()] if mapping is not None else []
-    for file in dict.fromkeys(name for name in named if Path(name).suffix.lower() in (*READERS, *TEXTS)):
+    for file in dict.fromkeys(name for name in named if Path(name).suffix.lower() in (*READERS, *TEXTS, *SUFFIXES)):
         table = _join(table, file, _read_file(path.parent / file.replace("{stem}", path.stem), None, 1))
     return join_seconds(table)
 
@@ -240,15 +242,16 @@ def _join(table: Table, file: str, other: Table) -> Table:
 
 def _read_file(path: Path, mapping: LogMapping | None, least: int) -> Table:
     suffix = path.suffix.lower()
-    if suffix == COMPRESSED and Path(path.stem).suffix.lower() in TEXTS:
+    texts = (*TEXTS, *SUFFIXES)
+    if suffix == COMPRESSED and Path(path.stem).suffix.lower() in texts:
         suffix = Path(path.stem).suffix.lower()
-    if suffix not in READERS and suffix not in TEXTS:
+    if suffix not in READERS and suffix not in texts:
         allowed = (
-            f"a log with one of the suffixes {', '.join((*TEXTS, *READERS))}; texts also with {COMPRESSED} after it"
+            f"a log with one of the suffixes {', '.join((*texts, *READERS))}; texts also with {COMPRESSED} after it"
         )
         raise InputError(path, "file name", path.name, allowed)
     try:
-        return read_text(path, mapping, least) if suffix in TEXTS else READERS[suffix](path)
+        return read_text(path, mapping, least) if suffix in texts else READERS[suffix](path)
     except OSError as error:
         raise InputError(path, "file", None, f"a readable log ({error.strerror or error})") from None
 

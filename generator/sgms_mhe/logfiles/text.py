@@ -13,6 +13,7 @@ import numpy as np
 from sgms_mhe.logfiles.decimals import is_number, told_by, value_of
 from sgms_mhe.logfiles.dialect import UNTOLD, Dialect, fields_of, find_dialect
 from sgms_mhe.logfiles.encoding import decode
+from sgms_mhe.logfiles.json_files import SUFFIXES, find_samples
 from sgms_mhe.logfiles.long_format import pivot
 from sgms_mhe.logfiles.stamps import Stamps, stamp_form
 from sgms_mhe.logfiles.table import Array, Table, columns_of
@@ -31,7 +32,8 @@ def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
     Raises InputError, with what to write where; OSError as open does.
     """
     text, encoding = decode(path, _content(path), None if hints is None else hints.encoding)
-    dialect = find_dialect(path, text, hints, least)
+    is_json = Path(path.stem if path.suffix.lower() == COMPRESSED else path.name).suffix.lower() in SUFFIXES
+    dialect = find_samples(path, text) if is_json else find_dialect(path, text, hints, least)
     cells = Cells(path, dialect, hints)
     notes = []
     if dialect.after:
@@ -50,11 +52,11 @@ def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
         return values | {name: values[name] * scales[name][0] + scales[name][1] for name in wanted if name in scales}
 
     table = Table(
-        "text",
+        "JSON" if is_json else "text",
         cells.columns,
         read,
         dialect.row,
-        (("encoding", encoding), *dialect.description),
+        () if is_json else (("encoding", encoding), *dialect.description),
         cells.stamped,
         tuple(notes),
         {names[k]: names[clock] for k, clock in dialect.clocks.items()},
