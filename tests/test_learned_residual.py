@@ -122,6 +122,28 @@ def test_a_map_over_place_and_speed_is_learned_and_holds_on_another_record() -> 
     assert gain > low
 
 
+def strokes(period: float) -> Recording:
+    """To and fro for 20 s over 40 mm, at nearly one speed."""
+    time = np.arange(20000) / 1000.0
+    position = 0.04 / np.pi * np.arcsin(0.99 * np.sin(2.0 * np.pi * time / period))
+    return prepare(machine(), Log(time, position, np.zeros(len(time)), 1000.0))
+
+
+def test_a_fine_ripple_is_learned_that_each_direction_has_elsewhere() -> None:
+    """Twenty periods over the travel, as of a gear's teeth, a third of one apart between the directions."""
+    here, there = strokes(1.7), strokes(1.9)
+
+    def ripple(recording: Recording) -> Array:
+        return np.sin(2.0 * np.pi * recording.position / 0.002 + np.sign(recording.velocity))
+
+    learned = learn(here, ripple(here) + NOISE_N * noise(len(here.time), 6))
+    assert learned is not None
+    assert override_machine(machine(), {"effects": [term.entry(1.0) for term in learned.terms]}).effects
+    force = ripple(there)[there.used]
+    left = force - predict(learned, there)[there.used]
+    assert np.sqrt(np.mean(left**2) / np.mean(force**2)) < 0.3
+
+
 @pytest.mark.slow
 def test_the_gain_is_none_of_the_blocks_that_are_learned_from() -> None:
     """A force on held-out blocks that others contradict: what these teach must be counted as a loss."""

@@ -116,7 +116,7 @@ GOOD: dict[str, Any] = {"place_cells": 2, "place_low_m": 0.0, "place_high_m": 0.
         ({"place_cells": 0}, "force_N", "0.1", "1 numbers: over no coordinate"),
         ({"travel_cells": 1, "speed_cells": 1}, "travel_cells", "1", "0: a table is over at most 2 coordinates"),
         ({"force_N": [0.1] * 4 + [math.nan]}, "force_N", "nan", "number"),
-        ({"force_N": [0.1] * 129}, "force_N", "0.1", "at most 128"),
+        ({"force_N": [0.1] * 269}, "force_N", "0.1", "at most 268"),
     ],
 )
 def test_tables_that_do_not_fit_are_refused(changes: dict[str, Any], key: str, value: str, allowed: str) -> None:

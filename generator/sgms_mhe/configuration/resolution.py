@@ -45,8 +45,9 @@ _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _NUMBERS: Final = TypeAdapter(dict[str, _Number])
 _LISTS: Final = TypeAdapter(dict[str, list[_Number]])
 _NAMES: Final = frozenset(("variable", "member", "row"))
-MOST_ENTRIES: Final = 128
-"""Entries that the lists of an effect may have."""
+MOST_ENTRIES: Final = 268
+"""Entries that the lists of an effect may have: a learned table of 64 cells over place in each direction has as many.
+"""
 
 
 def load_machine(machine: str | Path) -> Machine:

@@ -8,8 +8,9 @@ segments around them.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
@@ -36,13 +37,18 @@ SEGMENTS: Final = (8, 24)  # that a record is cut into, at least and at most
 CORRELATION: Final = 0.2  # autocorrelation of the residual that ends its correlation time
 LONG: Final = 2.0  # a segment, at least [correlation times]
 MOST_TERMS: Final = 3
-CELLS: Final[Mapping[Kind, tuple[int, int]]] = {
-    "place": (16, 9),
-    "speed": (9, 5),
-    "travel": (8, 4),
-}
-"""Cells of a grid over one coordinate, and of one of two."""
-PAIRS: Final[tuple[tuple[Kind, Kind], ...]] = (("place", "speed"), ("speed", "travel"), ("place", "travel"))
+GRIDS: Final[tuple[tuple[tuple[Kind, int], ...], ...]] = (
+    (("place", 16),),
+    (("place", 64),),
+    (("speed", 9),),
+    (("travel", 8),),
+    (("place", 9), ("speed", 5)),
+    (("place", 64), ("speed", 1)),
+    (("speed", 5), ("travel", 4)),
+    (("place", 9), ("travel", 4)),
+)
+"""Coordinates of the candidates, and cells of the grid over each. A ripple of a gear may be finer over place than
+anything is over speed, and shifted from one direction to the other."""
 PENALTIES: Final = (1e-3, 3e-2, 1.0)
 """Weights of second differences [mean information of a spline]."""
 SHRINKAGE: Final = 1.0  # weight of the splines themselves over that of their differences: between data they go to zero
@@ -230,16 +236,13 @@ def _count_segments(residual: Array) -> int:
 
 def _make_candidates(warped: Mapping[tuple[Kind, float], Array], segment: Index) -> tuple[Array, tuple[_Basis, ...]]:
     """Return the columns of all candidates (m, p), and these."""
-    sets: list[tuple[tuple[Kind, float], ...]] = [(key,) for key in warped]
-    sets += [(a, b) for a in warped for b in warped if (a[0], b[0]) in PAIRS]
     columns: list[Array] = []
     candidates: list[_Basis] = []
     first = 0
-    for keys in sets:
-        place = len(keys) - 1
-        coordinates = tuple(_make_coordinate(key, warped[key], CELLS[key[0]][place]) for key in keys)
+    for cells, keys in _list_grids(warped):
+        coordinates = tuple(_make_coordinate(key, warped[key], count) for key, count in zip(keys, cells, strict=True))
         own = [c.splines(warped[key]) for c, key in zip(coordinates, keys, strict=True)]
-        B = own[0] if place == 0 else (own[0][:, :, None] * own[1][:, None, :]).reshape(len(segment), -1)
+        B = own[0] if len(keys) == 1 else (own[0][:, :, None] * own[1][:, None, :]).reshape(len(segment), -1)
         kept = _find_supported(B, segment)
         if not kept.any():
             continue
@@ -249,6 +252,16 @@ def _make_candidates(warped: Mapping[tuple[Kind, float], Array], segment: Index)
         candidates.append(_Basis(coordinates, slice(first, last), penalty, kept))
         first = last
     return (np.hstack(columns) if columns else np.empty((len(segment), 0))), tuple(candidates)
+
+
+def _list_grids(keys: Iterable[tuple[Kind, float]]) -> list[tuple[tuple[int, ...], tuple[tuple[Kind, float], ...]]]:
+    """Return the cells and the coordinates of every candidate, each coordinate by kind and scale."""
+    known = list(keys)
+    return [
+        (tuple(cells for _, cells in grid), chosen)
+        for grid in GRIDS
+        for chosen in itertools.product(*([key for key in known if key[0] == kind] for kind, _ in grid))
+    ]
 
 
 def _make_coordinate(key: tuple[Kind, float], x: Array, cells: int) -> Coordinate:
