@@ -166,3 +166,43 @@ def test_channels_of_several_groups_are_put_on_the_clock_of_position(rate: float
     notes: list[str] = []
     assert close(read_log(tmp_path / "log.mf4", note=notes.append), log)
     assert any("sampled at other times than position" in note for note in notes) == (rate != 500.0)
+
+
+# --- lists in cells -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("form", ['"[{}, {}]"', "[{} {}]", '"({}, {})"', "\"array('d', [{}, {}])\"", "[{}, {}]"])
+def test_lists_in_cells_are_columns(form: str, separator: str, tmp_path: Path) -> None:
+    first, second = motion(9), motion(10)
+    lists = [[getattr(log, name).tolist() for log in (first, second)] for name in ("position_m", "force_N")]
+    lines = [separator.join(["t [s]", "frame", "position", "effort"])]
+    for k, t in enumerate(first.time_s.tolist()):
+        cells = [form.format(own[k], other[k]) for own, other in lists]
+        lines.append(separator.join([repr(t), "base", *cells]))
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match=r"position\[0\], position\[1\] are there without a unit"):
+        read_log(path)
+    with pytest.raises(InputError, match=r'position_rad = \{ variable = "position\[0\]", unit = "deg" \}'):
+        read_log(path, table={"position_rad": {"unit": "deg"}})
+    table = {
+        "position_rad": {"variable": "position[1]", "unit": "rad"},
+        "torque_Nm": {"variable": "effort[1]", "unit": "N m"},
+    }
+    assert close(read_log(path, table=table), second)
+    path.write_text(
+        "\n".join([*lines[:9], lines[9].replace(form.format(lists[0][0][8], lists[0][1][8]), "[]"), *lines[10:]])
+    )
+    with pytest.raises(InputError, match=r"row 9 \(line 10\)"):
+        read_log(path, table=table)
+
+
+@pytest.mark.parametrize("cell", ["(a, b)", "[1]", "phase (1, 2) of 3"])
+def test_brackets_around_something_else_are_left(cell: str, tmp_path: Path) -> None:
+    log = motion(11)
+    lines = ["t [s];q (rad);tau [N m];note"]
+    rows = zip(log.time_s.tolist(), log.position_m.tolist(), log.force_N.tolist(), strict=True)
+    lines += [f"{t!r};{x!r};{f!r};{cell}" for t, x, f in rows]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    assert close(read_log(tmp_path / "log.csv"), log)

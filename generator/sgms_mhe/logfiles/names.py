@@ -58,13 +58,14 @@ def split_name(name: str) -> tuple[str, str]:
         r"(.*[^\s/])\s*/\s*([^/\s][^/]*(?:/.+)?)",  # Axis/Speed/mm
         r"(.*\S)\s*,\s*(\S+)",
         r"(.*\S)\s+in\s+(\S+)",
-        r"(.+?)_(.+)",
     ):
         if (found := re.fullmatch(pattern, name)) and normal_unit(found[2].replace("_", "/")) in UNITS:
             return found[1], found[2].replace("_", "/")
-    while "_" in name:  # act_pos_mm: the unit is the last part
-        head, _, tail = name.rpartition("_")
-        return (head, tail) if normal_unit(tail) in UNITS else (name, "")
+    for mark in re.finditer("(?!^)_", name):  # act_vel_mm_s: the longest tail that is a unit
+        tail = name[mark.end() :]
+        for unit in (tail.replace("_", "/"), tail.replace("_", " ")):
+            if normal_unit(unit) in UNITS:
+                return name[: mark.start()], unit
     return name, ""
 
 

@@ -208,7 +208,8 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
             found = [candidate for candidate in found if _is_own(candidate, quantity)]
         if len(found) > 1:
             names = ", ".join(candidate.name for candidate in found)
-            line = _line(quantity, found[0].name, _stated_unit(found[0], quantity))
+            said = normal_unit(bare.unit) if bare is not None and bare.unit is not None else ""
+            line = _line(quantity, found[0].name, said or _stated_unit(found[0], quantity))
             allowed = f"one column; [log] of the machine file says which: {line}"
             raise InputError(path, f"column {quantity.column}", found[0].header if _same(found) else names, allowed)
         if not found:

@@ -14,6 +14,7 @@ from sgms_mhe.logfiles.decimals import is_number, told_by, value_of
 from sgms_mhe.logfiles.dialect import UNTOLD, Dialect, fields_of, find_dialect
 from sgms_mhe.logfiles.encoding import decode
 from sgms_mhe.logfiles.json_files import SUFFIXES, find_samples
+from sgms_mhe.logfiles.list_cells import spread_lists
 from sgms_mhe.logfiles.long_format import pivot
 from sgms_mhe.logfiles.stamps import Stamps, stamp_form
 from sgms_mhe.logfiles.table import Array, Table, columns_of
@@ -33,7 +34,7 @@ def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
     """
     text, encoding = decode(path, _content(path), None if hints is None else hints.encoding)
     is_json = Path(path.stem if path.suffix.lower() == COMPRESSED else path.name).suffix.lower() in SUFFIXES
-    dialect = find_samples(path, text) if is_json else find_dialect(path, text, hints, least)
+    dialect = find_samples(path, text) if is_json else find_dialect(path, spread_lists(text), hints, least)
     cells = Cells(path, dialect, hints)
     notes = []
     if dialect.after:
