@@ -168,6 +168,32 @@ def test_channels_of_several_groups_are_put_on_the_clock_of_position(rate: float
     assert any("sampled at other times than position" in note for note in notes) == (rate != 500.0)
 
 
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+def test_a_channel_beyond_its_records_is_refused(version: str, tmp_path: Path) -> None:
+    """By a damaged offset, which sends code in C through all of the memory."""
+    asammdf = pytest.importorskip("asammdf")
+    log = motion(12)
+    with asammdf.MDF(version=version) as file:
+        signals = [("ActPos", "rad", log.position_m), ("ActTorque", "Nm", log.force_N)]
+        stamps = log.time_s
+        file.append([asammdf.Signal(samples=v, timestamps=stamps, name=n, unit=u) for n, u, v in signals])
+        saved = file.save(tmp_path / "log.mf4")
+    assert close(read_log(saved), log)
+    content, places = bytearray(saved.read_bytes()), []
+    with asammdf.MDF(saved) as file:
+        for channel in file.groups[0].channels:
+            is_old = version[0] == "3"
+            places.append(channel.address + (186 if is_old else 24 + 8 * channel.links_nr + 4))
+    for place in places:
+        for offset in (0xC9, 0x440000):
+            damaged = bytearray(content)
+            width = 2 if version[0] == "3" else 4
+            damaged[place : place + width] = min(offset, 256**width - 1).to_bytes(width, "little")
+            (tmp_path / "damaged.mf4").write_bytes(damaged)
+            with pytest.raises(InputError, match="lies beyond its records"):
+                read_log(tmp_path / "damaged.mf4")
+
+
 # --- lists in cells -----------------------------------------------------------------------------------------------
 
 

@@ -40,7 +40,12 @@ def read_mdf(path: Path) -> Table:
     with open_file() as content:
         places = [(g, c) for g, group in enumerate(content.groups) for c in range(len(group.channels))]
         channels = [content.groups[g].channels[c] for g, c in places]
-        columns = columns_of([channel.name for channel in channels], [channel.unit or "" for channel in channels])
+        # asammdf copies the bytes of a channel by code in C that reads wherever a damaged file sends it.
+        if astray := next(
+            (c.name for (g, _), c in zip(places, channels, strict=True) if _is_astray(content, g, c)), ""
+        ):
+            raise damage_error(path, _WHOLE, ValueError(f"channel {astray} lies beyond its records"))
+        columns = columns_of([channel.name for channel in channels], [_unit(channel) for channel in channels])
         masters = {g: content.masters_db.get(g) for g in range(len(content.groups))}
     where = {column.name: place for column, place in zip(columns, places, strict=True)}
     at = {place: name for name, place in where.items()}
@@ -63,6 +68,23 @@ def read_mdf(path: Path) -> Table:
         return values
 
     return Table("MDF", columns, read, array_row, clocks=clocks)
+
+
+def _unit(channel: Any) -> str:
+    """The unit of a channel, or of its conversion, as version 3 has it."""
+    return str(channel.unit or getattr(channel.conversion, "unit", "") or "")
+
+
+def _is_astray(content: Any, group: int, channel: Any) -> bool:
+    """Return True if a channel has bits beyond the records of its group."""
+    records = content.groups[group].channel_group
+    if hasattr(channel, "byte_offset"):
+        begin = 8 * channel.byte_offset + channel.bit_offset
+        size = records.samples_byte_nr + records.invalidation_bytes_nr
+    else:  # version 3
+        begin = channel.start_offset + 8 * getattr(channel, "additional_byte_offset", 0)
+        size = records.samples_byte_nr
+    return bool(begin + channel.bit_count > 8 * size)
 
 
 def _silent(unraisable: Any) -> None:
