@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cli_cases import done, files, refused
+from diagnosis_cases import explained
+from sgms_mhe.commands.diagnose import _text
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.criteria import ProgressReport
@@ -134,3 +138,13 @@ def test_plan_separates_an_offset_from_an_asymmetric_level(
     assert [cause.name for cause in diagnosis.causes] == [name]
     ((key, value),) = parameters.items()
     assert diagnosis.causes[0].parameters[key] == pytest.approx(value, rel=0.02)
+
+
+def test_a_number_that_was_chosen_has_no_interval(small: Path) -> None:
+    diagnosis = explained(load_machine(small))
+    cause = diagnosis.causes[0]
+    chosen, *others = cause.parameters
+    shown = replace(diagnosis, causes=(replace(cause, std={**cause.std, chosen: math.nan}), *diagnosis.causes[1:]))
+    said, fitted = _text(shown, Path("out"), None, None), _text(diagnosis, Path("out"), None, None)
+    assert "nan" not in said and f"{chosen} = " in said and others
+    assert said.count("+-") == fitted.count("+-") - 1

@@ -150,6 +150,11 @@ def _gain(gain: EstimatorGain) -> dict[str, object]:
     }
 
 
+def _interval(std: float) -> str:
+    """Two deviations of a number that was fitted; nothing of one that was chosen, as speeds of a curve are."""
+    return f" +- {2.0 * std:.1g}" if math.isfinite(std) else ""
+
+
 def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: EstimatorGain | None) -> str:
     lines = [f"{diagnosis.verdict}: {diagnosis.summary}"]
     if diagnosis.learned is not None:
@@ -157,7 +162,7 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
     units = diagnosis.machine.plant.units
     for cause in diagnosis.causes:
         values = ", ".join(
-            f"{units.named(name)} = {value:.4g} +- {2.0 * cause.std.get(name, math.nan):.1g}"
+            f"{units.named(name)} = {value:.4g}{_interval(cause.std.get(name, math.nan))}"
             for name, value in cause.parameters.items()
         )
         holds = {None: "", True: "; transfers", False: "; of this record alone"}[cause.transfers]
