@@ -43,6 +43,10 @@ def close(found: Log, log: Log) -> bool:
         ("Joint Position 2 [deg]", "position"),
         ("tau_J1 [Nm]", "force"),
         ("tau_J", "force"),
+        ("X Position [mm]", "position"),
+        ("Position_Y_mm", "position"),
+        ("Z-Achse Position", "position"),
+        ("Fz [N]", "force"),
         ("actual_current_5", "force"),
         ("dq7", "velocity"),
         ("actual_qd_2", "velocity"),
@@ -53,7 +57,24 @@ def test_names_of_one_of_many_axes_are_known(name: str, role: str) -> None:
     assert [other for other in roles if is_usual(name, other, numbered=True)] == [role]  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["t1", "time2", "target_q_0", "q1_ref", "tau_J_d", "phase1", "q123"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "t1",
+        "time2",
+        "target_q_0",
+        "q1_ref",
+        "tau_J_d",
+        "phase1",
+        "q123",
+        "Index",
+        "matrix",
+        "Tx",
+        "y",
+        "fx_ref",
+        "joint3",
+    ],
+)
 def test_other_numbered_names_are_none(name: str) -> None:
     roles = ("time", "position", "force", "velocity")
     assert not any(is_usual(name, role, numbered=n) for role in roles for n in (False, True))  # type: ignore[arg-type]
@@ -67,6 +88,8 @@ def test_other_numbered_names_are_none(name: str) -> None:
         ("G1_XIST1 [deg]", 180.0 / np.pi, "r80: Actual torque value [Nm]"),
         ("r482[0]: Encoder actual position value Gn_XIST1: Encoder 1 [rad]", 1.0, "Active Torque [mN m]"),
         ("q4 [rad]", 1.0, "tau_J4 [Nm]"),
+        ("MAIN.fbAxis.fActPos [deg]", 180.0 / np.pi, "MAIN.fbAxis.lrActTorque [Nm]"),
+        ("angular_position [rad]", 1.0, "Torque sensor [Nm]"),
     ],
 )
 def test_a_single_axis_is_read(position: str, unit: float, force: str, tmp_path: Path) -> None:

@@ -14,17 +14,18 @@ from sgms_mhe.logfiles.dialect import UNITS
 from sgms_mhe.machine import Role, normal_unit
 
 _WORDS: Final[Mapping[Role, str]] = {
-    "time": "t|time|zeit|timestamp|zeitstempel|datetime|elapsed|elapsedtime|temps|tempo|tiempo|时间|時間",
-    "position": "x|q|pos|position|lage|weg|angle|winkel|phi|theta|encoder|encoderposition|rotorposition|pfb|plfb|"
-    "(?:g[n1-3])?xist[12]|posizione|posición|posicion|位置|角度|θ|φ",
-    "force": "f|u|force|kraft|torque|trq|moment|drehmoment|m|tau|current|strom|iq|i|ilfb|effort|couple|coppia|par|"
-    "forza|fuerza|转矩|扭矩|トルク|电流|電流|τ",
+    "time": "t|time|zeit|timestamp|zeitstempel|datetime|elapsed|elapsedtime|relativetime|relativezeit|temps|tempo|"
+    "tiempo|时间|時間",
+    "position": "x|q|pos|position|displacement|stroke|lage|weg|angle|winkel|drehwinkel|phi|theta|encoder|"
+    "encoderposition|rotorposition|pfb|plfb|(?:g[n1-3])?xist[12]|posizione|posición|posicion|位置|角度|θ|φ",
+    "force": "f|u|force|kraft|loadcell|torque|trq|moment|drehmoment|m|tau|current|strom|iq|i|ilfb|effort|couple|coppia|"
+    "par|forza|fuerza|转矩|扭矩|トルク|电流|電流|τ",
     "velocity": "v|vel|velocity|speed|dq|qd|qdot|geschwindigkeit|drehzahl|omega|w|vfb|vlfb|vitesse|velocità|velocidad|"
     "速度|ω",
 }
 _MEASURED: Final = (
-    "actual|act|active|ist|istwert|value|wert|measured|meas|mess|feedback|fbk|fb|estimate|motor|drive|antrieb|axis|"
-    "achse|joint|load|encoder|g[n1-3]xist"
+    "actual|act|active|ist|istwert|value|wert|measured|meas|mess|feedback|fbk|fb|estimate|sensor|motor|drive|antrieb|"
+    "linear|angular|torqueproducing|q?axis|achse|joint|load|encoder|g[n1-3]xist"
 )
 _WANTED: Final = re.compile(
     r"(?:^|[\s_.\-/:])(?:set|soll|cmd|command|ref|reference|demand|target|desired|err|error|following|fehler|schlepp)",
@@ -34,8 +35,10 @@ _PATTERNS: Final = {
     role: re.compile(rf"(?:(?:{_MEASURED}|current)\d*)*(?:{words})(?:(?:{_MEASURED})\d*)*")
     for role, words in _WORDS.items()
 }
-_AXIS: Final = re.compile(r"(.*?[^\W\d])(?:j?\d{1,2}|j)")
-"""A name with the number of an axis behind it: q1, tau_J3."""
+_AXIS: Final = re.compile(r"(?:[xyz]\d?(?:axis|achse)?)?(.*?[^\W\d])(?:j?\d{1,2}|j|[xyz])?")
+"""A name with the number or letter of an axis beside it: q1, tau_J3, X position, pos_y."""
+_TYPE: Final = re.compile(r"(?:(?<=[.:/])|^)(?:l?r|f|[du]?i|n)(?=[A-Z][a-z]{2})")
+"""Letters for the type of a variable before its name, as programs of controllers have it: fActPos, lrPosition."""
 
 
 _PARAMETER: Final = re.compile(
@@ -79,7 +82,7 @@ def is_usual(header: str, role: Role, *, numbered: bool = False) -> bool:
 
     Time has no axis.
     """
-    name = _INDEX.sub("", _PARAMETER.sub("", split_name(header)[0]))
+    name = _TYPE.sub("", _INDEX.sub("", _PARAMETER.sub("", split_name(header)[0])))
     if role not in _PATTERNS or _WANTED.search(name):
         return False
     names = [plain_name(end) for end in (name, *(name[mark.end() :] for mark in re.finditer(r"[.:/]", name)))]
