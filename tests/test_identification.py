@@ -20,6 +20,7 @@ import sgms_mhe
 from cli_cases import done, refused
 from sgms_bench.studies.identification import identified_axis
 from sgms_mhe.configuration import load_machine, make_machine
+from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification import Wanted, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fits import AxisFit, RecordView, stribeck_limits
@@ -215,6 +216,27 @@ def test_derivatives_of_elements(law: Law) -> None:
         error = np.abs((ahead - behind) / (2.0 * step) - slopes[:, j])
         # Where an element breaks away within the difference the quotient is no derivative.
         assert np.quantile(error, 0.98) < 1e-3 * max(1.0, float(np.abs(slopes[:, j]).max()))
+
+
+@pytest.mark.parametrize("law", ["switching", "sgms"])
+def test_an_element_that_has_just_run_is_not_run_again(law: Law, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run with derivatives serves requests without. Twice the distance at twice the speed is another element."""
+    motion, rise = still(random_motion()), Stribeck(0.3, 1e-3)
+    calls, advance = [0], CompiledModel.advance
+
+    def count(self: CompiledModel, *arguments: Any) -> None:
+        calls[0] += 1
+        advance(self, *arguments)
+
+    monkeypatch.setattr(CompiledModel, "advance", count)
+    first = run_element(motion, law, 5e-6, rise)
+    other = run_element(motion, law, 1e-5, Stribeck(0.3, 2e-3), jacobian=False)
+    assert calls == [2]
+    again, alone = run_element(motion, law, 5e-6, rise), run_element(motion, law, 5e-6, rise, jacobian=False)
+    assert calls == [2]
+    assert np.array_equal(again.chi, first.chi) and np.array_equal(again.jacobian, first.jacobian)
+    assert np.array_equal(alone.chi, first.chi)
+    assert not np.array_equal(other.chi, first.chi)
 
 
 def test_forces_pass_the_chain_as_the_log_does(log: Log) -> None:

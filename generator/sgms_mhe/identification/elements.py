@@ -73,22 +73,27 @@ def run_element(
     """An element that breaks away after `distance` [m], relaxed at first, along a motion.
 
     It runs in a unit of length in which that is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
-    element then serves all that have about the same Stribeck velocity in these.
+    element then serves all that have about the same Stribeck velocity in these. One that has just run is not run again.
     """
     unit = DISTANCE / distance * RATE / motion.rate
     code = _compile(law, _nominal(law, rise.velocity * unit))
     nominal = np.array([p.nominal for p in code.model.parameters])
     values = np.array([1.0 / DISTANCE, rise.ratio, rise.velocity * unit])
-    n = len(motion.velocity)
-    w = np.zeros((n, 5))
-    w[:, 1] = motion.velocity * unit
-    chi, d = np.empty(n), np.empty((n, 3)) if jacobian else None
-    code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d)
-    if d is None:
-        return ElementRun(motion.to_rows(chi), np.empty((motion.rows, 0)))
-    # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
-    d *= np.array([-values[0], 1.0, values[2]]) / nominal
-    return ElementRun(motion.to_rows(chi), motion.to_rows(d))
+
+    def run() -> tuple[Array, Array | None]:
+        n = len(motion.velocity)
+        w = np.zeros((n, 5))
+        w[:, 1] = motion.velocity * unit
+        chi, d = np.empty(n), np.empty((n, 3)) if jacobian else None
+        code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d)
+        if d is None:
+            return motion.to_rows(chi), None
+        # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
+        return motion.to_rows(chi), motion.to_rows(d * (np.array([-values[0], 1.0, values[2]]) / nominal))
+
+    # The unit says which distance it is: values alone are those of others at another speed as well.
+    chi, d = motion.runs.get(code, motion.velocity, np.append(values, unit), jacobian, run)
+    return ElementRun(chi, np.empty((motion.rows, 0)) if d is None else d)
 
 
 def run_elements(

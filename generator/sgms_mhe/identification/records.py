@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.path import bridge_gaps, displacements, smooth_path
-from sgms_mhe.recordings.recording import Recording, add_encoder, filter_position, position_error, prepare
+from sgms_mhe.recordings.recording import Recording, Runs, add_encoder, filter_position, position_error, prepare
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, apply_chain, readings
 from sgms_mhe.signals.logs import Log
@@ -25,6 +25,8 @@ LEAD: Final = 0.6
 """Largest share of a log that is left out for that."""
 PATH_RATE: Final = 16000.0
 """Points of a way a second, where samples are fewer [Hz]: of a step the speed that rules a level is the mean."""
+RUNS_CACHED: Final = 64
+"""Runs of elements that a motion keeps: a fit begins where another one ended."""
 
 SEED: Final = 20261127
 """Of noise that stands for an encoder's."""
@@ -43,6 +45,7 @@ class ElementMotion:
         rows: of the log.
         filtered: whether a force passes the chain before it is compared: displacements are those of the encoder then,
             else those behind the filters.
+        runs: the newest ones of elements along it.
     """
 
     machine: Machine
@@ -52,6 +55,7 @@ class ElementMotion:
     factor: int
     rows: int
     filtered: bool
+    runs: Runs = field(default_factory=lambda: Runs(RUNS_CACHED), repr=False)
 
     def to_rows(self, series: Array) -> Array:
         """A force, or columns of forces, at the rows: (n, ...) to (rows, ...)."""

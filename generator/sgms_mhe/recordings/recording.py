@@ -66,10 +66,10 @@ SWITCHING: Final = 0.5
 
 
 class Runs:
-    """Results by the code that ran, the signals it ran along (both by identity), and theta."""
+    """The newest results, at most so many, by the code that ran, the signals it ran along (by identity), and theta."""
 
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
+    def __init__(self, most: int = RUNS_CACHED) -> None:
+        self._most, self._lock = most, threading.Lock()
         self._kept: OrderedDict[tuple[int, int, bytes], tuple[object, object, Run]] = OrderedDict()
 
     def get(self, code: object, signals: object, theta: Array, derivatives: bool, run: Callable[[], Run]) -> Run:
@@ -88,7 +88,7 @@ class Runs:
             # With what identities stand for, so that they stay its own.
             self._kept[key] = code, signals, found
             self._kept.move_to_end(key)
-            while len(self._kept) > RUNS_CACHED:
+            while len(self._kept) > self._most:
                 self._kept.popitem(last=False)
         return found
 
