@@ -255,3 +255,70 @@ def test_brackets_around_something_else_are_left(cell: str, tmp_path: Path) -> N
     lines += [f"{t!r};{x!r};{f!r};{cell}" for t, x, f in rows]
     (tmp_path / "log.csv").write_text("\n".join(lines))
     assert close(read_log(tmp_path / "log.csv"), log)
+
+
+# --- units with a number, stamps of minutes -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "factors"),
+    [
+        (("Time [0.1 ms]", "Position [0.001 deg]", "Torque [Nm]"), (1e4, 180e3 / np.pi, 1.0)),
+        (("Zeit (10 us)", "Lageistwert (0,001 °)", "Drehmoment (0.01 Nm)"), (1e5, 180e3 / np.pi, 100.0)),
+        (("t [s]", "q [1e-6 rad]", "M [mNm]"), (1.0, 1e6, 1e3)),
+    ],
+)
+@pytest.mark.parametrize("as_row", [False, True])
+def test_a_unit_may_have_a_number(
+    names: tuple[str, ...], factors: tuple[float, ...], as_row: bool, tmp_path: Path
+) -> None:
+    log = motion(13)
+    columns = [f * values for f, values in zip(factors, (log.time_s, log.position_m, log.force_N), strict=True)]
+    lines = [";".join(map(repr, row)) for row in zip(*(values.tolist() for values in columns), strict=True)]
+    header = [";".join(names)]
+    if as_row:
+        header = [";".join(name[: name.index(" ")] for name in names), ";".join(n[n.index(" ") + 1 :] for n in names)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([*header, *lines]))
+    found = read_log(path)
+    assert close(found, log) and found.rate == pytest.approx(500.0)
+    position = names[1] if not as_row else names[1][: names[1].index(" ")]
+    assert close(read_log(path, table={"position_rad": position}), log)  # named alone: the file's unit holds
+    other = read_log(path, table={"position_rad": {"variable": position, "unit": "mrad"}})
+    np.testing.assert_allclose(other.position_m, columns[1] / 1e3)
+
+
+def test_a_wrap_of_a_unit_with_a_number_keeps_the_number(tmp_path: Path) -> None:
+    log = motion(14)
+    ticks = 40.0 * log.position_m * 180e3 / np.pi
+    columns = {"t [s]": log.time_s, "q [0.001 deg]": np.mod(ticks, 360e3), "M [Nm]": log.force_N}
+    path = write(tmp_path / "log.csv", **columns)
+    with pytest.raises(InputError, match=r'unit = "deg", scale = 0\.001, wrap = 360000 \}'):
+        read_log(path)
+    table = {"position_rad": {"variable": "q [0.001 deg]", "unit": "deg", "scale": 0.001, "wrap": 360e3}}
+    for stated in (table, {"position_rad": {"wrap": 360e3}}):
+        moved = read_log(path, table=stated).position_m
+        np.testing.assert_allclose(moved - moved[0], 40.0 * (log.position_m - log.position_m[0]), atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", ["0.1 %", "0.1 furlong", "0 rad", "2 counts"])
+def test_a_number_before_what_no_factor_makes_si_is_refused(unit: str, tmp_path: Path) -> None:
+    log = motion(15)
+    columns = {"t [s]": log.time_s, f"q [{unit}]": log.position_m, "M [Nm]": log.force_N}
+    with pytest.raises(InputError, match=f"is there in {unit}, which is none of"):
+        read_log(write(tmp_path / "log.csv", **columns))
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+@pytest.mark.parametrize("start", [0.0, 3598.5])
+def test_minutes_and_seconds_are_times_over_the_hour(mark: str, start: float, tmp_path: Path) -> None:
+    log = motion(16)
+    lines = ["time;position [rad];torque [Nm]"]
+    for t, x, f in zip(log.time_s.tolist(), log.position_m.tolist(), log.force_N.tolist(), strict=True):
+        whole = round(1e3 * (start + t))
+        stamp = f"{whole // 60000 % 60:02d}:{whole // 1000 % 60:02d}{mark}{whole % 1000:03d}"
+        lines.append(f"{stamp};{x!r};{f!r}")
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines))
+    found = read_log(path)
+    assert close(found, log) and found.time_s == pytest.approx(log.time_s, abs=1e-9)

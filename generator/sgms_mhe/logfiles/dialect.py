@@ -12,7 +12,7 @@ from typing import Final, Literal
 from sgms_mhe.logfiles.decimals import Mark, is_missing, is_number, told_by
 from sgms_mhe.logfiles.key_rows import find_key_rows
 from sgms_mhe.logfiles.stamps import is_clock
-from sgms_mhe.machine import BY_COLUMN, SEPARATORS, LogMapping, normal_unit
+from sgms_mhe.machine import BY_COLUMN, SEPARATORS, LogMapping, split_unit
 from sgms_mhe.support.errors import InputError
 
 UNITS: Final = frozenset(unit for quantity in BY_COLUMN.values() for unit in quantity.allowed)
@@ -297,7 +297,7 @@ def _header_names(line: str, separator: str, count: int, closed: bool) -> list[s
 def _is_unit_row(fields: Sequence[str]) -> bool:
     """Return True if all fields are units, except for a first one that says so."""
     own = fields[1:] if fields and fields[0].casefold().rstrip(":") in _LABELS else fields
-    plain = [normal_unit(field) for field in own]
+    plain = [split_unit(field)[1] for field in own]
     return all(unit in UNITS or unit in _NO_UNIT for unit in plain) and any(unit in UNITS for unit in plain)
 
 

@@ -194,7 +194,8 @@ def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int],
     period = listed if listed is not None else _round_number(float(np.median(periods)), min(off, rest / 4.0))
     first, column = int(jumps[0]), source.quantity.column
     seen = f"jumps by {steps[first]:.6g}" + (f", {count} such jumps" if count > 1 else "")
-    line = f'{column} = {{ variable = "{source.column}", unit = "{source.unit}", wrap = {period:.10g} }}'
+    scale = "" if source.scale == 1.0 else f", scale = {source.scale:.10g}"
+    line = f'{column} = {{ variable = "{source.column}", unit = "{source.unit}"{scale}, wrap = {period:.10g} }}'
     allowed = f"a position that goes on; where it starts over [log] of the machine file says so: {line}"
     raise InputError(path, f"{row(int(good[first + 1]))}, column {source.column}", seen, f"{allowed}, as --wrap")
 

@@ -13,7 +13,18 @@ from typing import Final
 
 from sgms_mhe.logfiles.names import is_usual, plain_name, split_name
 from sgms_mhe.logfiles.table import Column, Table
-from sgms_mhe.machine import COUNTS, QUANTITIES, REQUIRED, Kind, LogColumn, LogMapping, Quantity, Role, normal_unit
+from sgms_mhe.machine import (
+    COUNTS,
+    QUANTITIES,
+    REQUIRED,
+    Kind,
+    LogColumn,
+    LogMapping,
+    Quantity,
+    Role,
+    normal_unit,
+    split_unit,
+)
 from sgms_mhe.support.errors import InputError
 
 SHOWN: Final = 20
@@ -109,11 +120,21 @@ def find_missing(path: Path, table: Table, mapping: LogMapping | None, preferred
     return tuple(missing)
 
 
+def _stated(column: Column, quantity: Quantity) -> tuple[float, str]:
+    """(factor, unit) that the file states for a column, beside the name or in it, as this package spells it.
+
+    The factor is that of 0.001 deg, and 1 of a unit whose factor only [log] can say.
+    """
+    text = column.unit if normal_unit(column.unit) not in ("", "-") else split_name(column.header)[1]
+    unit = normal_unit(text)
+    if unit in ("nm", "NM") and quantity.unit == "N m":  # no torque is in nanometres
+        return 1.0, "N m"
+    factor, bare = split_unit(text)
+    return (factor, bare) if factor > 0.0 and bare in quantity.units else (1.0, unit)
+
+
 def _stated_unit(column: Column, quantity: Quantity) -> str:
-    """The unit that the file states for a column, beside the name or in it, as this package spells it."""
-    beside = normal_unit(column.unit)
-    unit = beside if beside not in ("", "-") else normal_unit(split_name(column.header)[1])
-    return "N m" if unit in ("nm", "NM") and quantity.unit == "N m" else unit  # no torque is in nanometres
+    return _stated(column, quantity)[1]
 
 
 def _usual(table: Table, role: Role) -> list[Column]:
@@ -222,10 +243,12 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
         source = _own(path, quantity, column, stamped)
     else:
         source = Source(quantity, column.name, *_mapped_unit(path, quantity, mapped, column, stamped))
+        if mapped.unit is None and mapped.scale == 1.0 and not stamped:
+            source = replace(source, scale=_stated(column, quantity)[0])
     if mapped is None:
         return source
-    stated = {key: getattr(mapped, key) for key in ("row", "scale", "offset", "counts_per", "wrap")}
-    return replace(source, **stated)
+    stated = {key: getattr(mapped, key) for key in ("row", "offset", "counts_per", "wrap")}
+    return replace(source, scale=mapped.scale * source.scale, **stated)
 
 
 def _same(columns: Sequence[Column]) -> bool:
@@ -298,8 +321,8 @@ def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Sourc
             allowed = f"the unit {quantity.unit}, as in its name; which holds? [log] of the machine file says: {line}"
             raise InputError(path, f"column {column.name}, unit", beside, allowed)
         return Source(quantity, column.name, quantity.unit, "its name")
-    stated = _check_unit(path, quantity, column, _stated_unit(column, quantity))
-    return Source(quantity, column.name, stated, "name and unit")
+    factor, stated = _stated(column, quantity)
+    return Source(quantity, column.name, _check_unit(path, quantity, column, stated), "name and unit", scale=factor)
 
 
 def _check_unit(path: Path, quantity: Quantity, column: Column, unit: str) -> str:

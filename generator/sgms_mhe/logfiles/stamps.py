@@ -28,12 +28,15 @@ _FORMS: Final = (
         re.compile(rf"(?P<a>\d{{1,2}})(?P<mark>[-/.])(?P<b>\d{{1,2}})[-/.](?P<y>\d{{4}})[T,\s]\s*{_CLOCK}{_ZONE}"),
     ),
     ("time of day", re.compile(_CLOCK)),
+    ("minutes and seconds", re.compile(r"(?P<min>\d{1,2}):(?P<s>\d{2})[.,](?P<frac>\d{1,12})")),
     ("duration", re.compile(r"(?P<span>[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s?(?P<unit>(?:sec|s|ms|us|min|hr|h))")),
 )
 _SPANS: Final = {"sec": 1e9, "s": 1e9, "ms": 1e6, "us": 1e3, "min": 60e9, "hr": 3600e9, "h": 3600e9}
 """Nanoseconds of the unit behind a duration, as MATLAB writes it."""
 _LAST: Final = frozenset(unit[-1] for unit in _SPANS)
 _DAY: Final = 86400
+_PERIODS: Final = {"time of day": _DAY, "minutes and seconds": 3600}
+"""Seconds after which stamps start over."""
 
 
 def is_clock(token: str) -> bool:
@@ -63,7 +66,7 @@ class Stamps:
         self._order: str | None = None
         self._days: dict[tuple[str, str, str], int] = {}
         self._last = math.nan
-        self._midnights = 0
+        self._turns = 0
 
     def seconds(self, tokens: Sequence[str]) -> Array:
         """Seconds since the first time stamp of all (n,), NaN where a field is empty.
@@ -89,7 +92,7 @@ class Stamps:
             raise ValueError(0, allowed)
         start = _nanoseconds(self._first[1], order, self._days)
         since = np.array([np.nan if value is None else (value - start) / 1e9 for value in nanoseconds])
-        return since if self._form != "time of day" else self._over_midnight(since)
+        return self._go_on(since, _PERIODS[self._form]) if self._form in _PERIODS else since
 
     def _parts(self, tokens: Sequence[str]) -> list[dict[str, str | None] | None]:
         """Each stamp in its parts, None where a field is empty."""
@@ -112,15 +115,15 @@ class Stamps:
             found.append(None if match is None else match.groupdict())
         return found
 
-    def _over_midnight(self, since: Array) -> Array:
-        """Times of day that go on counting after midnight."""
+    def _go_on(self, since: Array, period: float) -> Array:
+        """Times that go on counting after midnight, or the full hour."""
         good = np.flatnonzero(np.isfinite(since))
         if len(good):
-            back = np.diff(since[good], prepend=self._last) < -0.5 * _DAY
+            back = np.diff(since[good], prepend=self._last) < -0.5 * period
             self._last = float(since[good[-1]])
-            midnights = self._midnights + np.cumsum(back)
-            self._midnights = int(midnights[-1])
-            since[good] += _DAY * midnights
+            turns = self._turns + np.cumsum(back)
+            self._turns = int(turns[-1])
+            since[good] += period * turns
         return since
 
 
@@ -135,11 +138,11 @@ def _nanoseconds(parts: dict[str, str | None], order: str | None, days: dict[tup
     """Nanoseconds of a stamp, since year 1 or midnight, in UTC where it states its zone; `days` remembers dates."""
     if span := parts.get("span"):
         return round(float(span.replace(",", ".")) * _SPANS[parts["unit"] or "s"])
-    hour, minute, second = (int(parts[key] or 0) for key in ("h", "min", "s"))
+    hour, minute, second = (int(parts.get(key) or 0) for key in ("h", "min", "s"))
     if hour > 23 or minute > 59 or second > 59:
         raise ValueError("a time of day up to 23:59:59")
-    if parts["half"]:
-        hour = hour % 12 + (12 if parts["half"] in "pP" else 0)
+    if half := parts.get("half"):
+        hour = hour % 12 + (12 if half in "pP" else 0)
     day = 0
     if year := parts.get("y"):
         key = (year, parts["a"] or "", parts["b"] or "")

@@ -7,7 +7,7 @@ from sgms_mhe.machine.estimator import ArrivalCost, Disturbance, Estimator, Nois
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables, json_schema
 from sgms_mhe.machine.log_mapping import SEPARATORS, LogColumn, LogMapping, kinds_of, table_of_flags
-from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, REQUIRED, Quantity, Role, normal_unit
+from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, REQUIRED, Quantity, Role, normal_unit, split_unit
 from sgms_mhe.machine.reading import (
     Layer,
     MachineFile,
@@ -69,5 +69,6 @@ __all__ = [
     "plant_content",
     "read_log_table",
     "read_machine_file",
+    "split_unit",
     "table_of_flags",
 ]

@@ -135,10 +135,20 @@ def normal_unit(text: str) -> str:
     unit = text.strip().strip("[](){}<>").strip()
     for sign, plain in _SIGNS:
         unit = unit.replace(sign, plain)
-    unit = re.sub(r"\s*[·⋅*.]\s*|\s+", " ", unit)
+    unit = re.sub(r"\s*(?:[·⋅*]|\.(?!\d))\s*|\s+", " ", unit)
     unit = re.sub(r"\s*/\s*", "/", unit)
     unit = re.sub(r" ?s\^?-1$", "/s", unit) if len(unit) > 3 else unit
     unit = re.sub(r" ?s\^?-2$|/s2$|/s/s$", "/s^2", unit)
     unit = re.sub(r"^(m|k)?N ?(m|cm)$", lambda found: f"{found[1] or ''}N {found[2]}", unit)
     whole, mark, time = unit.partition("/")
     return _SPELLINGS.get(unit) or _SPELLINGS.get(whole, whole) + mark + _SPELLINGS.get(time, time)
+
+
+_TIMES: Final = re.compile(r"(\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*[·*]?\s*([^\W\d_].*|[%°].*)")
+"""A number of units: 0.1 ms, 0.001°."""
+
+
+def split_unit(text: str) -> tuple[float, str]:
+    """(number, unit as this package spells it) of '0.001 deg'; the number is 1 where there is none."""
+    found = _TIMES.fullmatch(text.strip().strip("[](){}<>").strip())
+    return (float(found[1].replace(",", ".")), normal_unit(found[2])) if found else (1.0, normal_unit(text))
