@@ -113,6 +113,13 @@ def test_numbers_of_halves_are_those_that_both_determine() -> None:
     assert pair_numbers(one, replace(one, causes=(), base=())) == []
 
 
+def test_a_number_that_a_half_leaves_open_does_not_count_as_one_that_agrees() -> None:
+    one = replace(explained(load_machine("etel_xy")), causes=())
+    wide = tuple(replace(number, std=0.6 * number.refitted) for number in one.base)
+    assert len(pair_numbers(one, one)) > 0
+    assert pair_numbers(one, replace(one, base=wide)) == []
+
+
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [

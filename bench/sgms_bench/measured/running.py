@@ -245,9 +245,14 @@ def pair_numbers(one: Diagnosis, other: Diagnosis) -> list[tuple[float, float, f
 
 
 def _numbers(found: Diagnosis) -> dict[tuple[str, str], tuple[float, float]]:
-    """Determined numbers of a diagnosis with their deviations: of the base model, and of causes that stand once."""
+    """Determined numbers of a diagnosis with their deviations: of the base model, and of causes that stand once.
+
+    An interval of the base model that reaches zero says nothing, and holds whatever the other half says.
+    """
     known: dict[tuple[str, str], tuple[float, float]] = {
-        ("base", number.name): (number.refitted, number.std) for number in found.base
+        ("base", number.name): (number.refitted, number.std)
+        for number in found.base
+        if SIGMAS * number.std < number.refitted
     }
     for cause in found.causes:
         if cause.nominal or cause.label != cause.name:
