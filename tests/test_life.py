@@ -663,6 +663,39 @@ def test_loaded_numbers_stay_honest_where_the_pause_changed_the_axis(package: An
     assert np.mean(off(sure)[:50] ** 2) > 1.5 * np.mean(honest[:50] ** 2)
 
 
+@pytest.mark.parametrize(
+    ("kind", "precision"), [("auto", "double"), ("auto", "single"), ("fixed", "double"), ("ekf", "double")]
+)
+def test_flipped_bit_of_settings_refuses_updates(kind: str, precision: str, package: Any) -> None:
+    """Whichever bit, until it is back, and over a reset; the estimate stays, and init starts an axis as new."""
+    p: Package = package(kind, precision)
+    memory = p.new()
+    before = p.run(memory, log_of(), last=221)[-1]
+
+    def complete_interval() -> None:
+        while not p.c.probe_due(memory):
+            p.c.probe_sample(memory, 0.0, 0.0)
+
+    def flip(bit: int) -> None:
+        memory[bit // 8] = memory.raw[bit // 8] ^ 1 << bit % 8
+
+    complete_interval()
+    for bit in range(8 * ctypes.sizeof(p.Settings)):
+        flip(bit)
+        assert p.c.probe_feedback(memory) == p.refused, bit
+        flip(bit)
+    now = np.empty_like(before)
+    assert p.c.probe_estimate(memory, ctypes.c_void_p(now.ctypes.data)) == p.refused
+    np.testing.assert_array_equal(now, before)
+    assert p.c.probe_feedback(memory) >= 0
+    flip(3)
+    p.c.probe_reset(memory)
+    complete_interval()
+    assert p.c.probe_feedback(memory) == p.refused
+    p.c.probe_init_on(memory, 0)
+    assert memory.raw == p.new().raw
+
+
 def test_every_flipped_bit_is_refused_and_leaves_a_fresh_axis(package: Any) -> None:
     p: Package = package("auto")
     memory, axis, fresh = p.new(), p.new(), p.new().raw

@@ -11,6 +11,7 @@ enum {
     STEP,
     PHASE,
     VERSION,
+    SETTINGS,
 #if SPREADS
     VARIANCES,
     SQUARES,
@@ -43,6 +44,9 @@ static inline void damage(machine *axis, int which, int32_t value)
         break;
     case VERSION:
         axis->calls.version = (uint32_t)value;
+        break;
+    case SETTINGS:
+        axis->settings.measurement *= (machine_real)value;
         break;
 #if SPREADS
     case VARIANCES: /* at the end of a block */

@@ -255,6 +255,7 @@ static void check_recovery(machine *axis)
     CALL(init)(twin);
     CALL(compensate)(twin, axis->compensation.on);
     twin->settings = axis->settings;
+    twin->settings_sum = axis->settings_sum;
     twin->chain.moved = axis->chain.moved;
 #if HAS_ORIGIN
     twin->chain.origin = axis->chain.origin;

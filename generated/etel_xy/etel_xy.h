@@ -79,7 +79,7 @@ typedef struct {
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "de03b466533e" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0xfc4930f3u
+#define ETEL_XY_HEADER 0x9b414d26u
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0xde03b466u
 #define ETEL_XY_SAVED_MACHINE_1 0x533eu
@@ -109,7 +109,7 @@ enum {
     /* the application was compiled against another header than this package's */
     ETEL_XY_MISMATCH = -4,
     /* of a call that sets or loads: a number out of its range, or saved data damaged or another
-     * machine's */
+     * machine's; of an update: settings in memory are not those of init */
     ETEL_XY_REFUSED = -5,
     /* numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding */
     ETEL_XY_ARITHMETIC = -6
@@ -210,6 +210,7 @@ typedef struct {
  * sample needs comes first, within reach of short addresses. */
 typedef struct {
     etel_xy_settings_t settings;
+    uint64_t settings_sum; /* of them, as they were when the axis started */
     struct { /* signal chain, of sample() and tick() */
         etel_xy_real moved; /* kg, of set_mass() */
         double position[2]; /* m */
@@ -356,8 +357,9 @@ int etel_xy_check(size_t size, uint32_t header);
  * SELFTEST_UPDATES of the first run, SELFTEST_SECOND of the other after them), or so many more as
  * the check that fails: 1 save and load, 2 settings and reset, 3 missing signals, 4 mass and
  * measured friction, 5 statuses, 6 limit of the force, 7 lost intervals and overlaps, 8 damaged
- * state, 9 the handshake, 10 numbers that are not those of IEEE 754. selftest() takes
- * sizeof(etel_xy_t) of stack; selftest_with() the memory of an axis, to be set up anew after it. */
+ * state, 9 the handshake, 10 numbers that are not those of IEEE 754, 11 functions and least squares
+ * within bounds. selftest() takes sizeof(etel_xy_t) of stack; selftest_with() the memory of an
+ * axis, to be set up anew after it. */
 int etel_xy_selftest(void);
 int etel_xy_selftest_with(etel_xy_t *axis);
 

@@ -352,6 +352,27 @@ static SGMS_COLD void start_signals(etel_xy_controller_t *self)
     start_compensation(self);
 }
 
+/* Sum of numbers' bits, going on from another one: any one of them that is another gives another
+ * sum. */
+static sgms_unsigned add_bits(sgms_unsigned sum, const sgms_real *numbers, int count)
+{
+    for (int i = 0; i < count; i++) {
+        sum = 31u * sum + (sgms_unsigned)sgms_bits(numbers[i]);
+    }
+    return sum;
+}
+
+static sgms_unsigned sum_of(const etel_xy_controller_settings_t *settings)
+{
+    sgms_unsigned sum = add_bits(0u, &settings->measurement, 1);
+    sum = add_bits(sum, settings->state, STATES);
+    sum = add_bits(sum, settings->parameter, PARAMETERS);
+    sum = add_bits(sum, settings->drift, PARAMETERS);
+    sum = add_bits(sum, settings->lower, PARAMETERS);
+    sum = add_bits(sum, settings->upper, PARAMETERS);
+    return add_bits(sum, settings->pause, PARAMETERS);
+}
+
 /* Nothing known but settings and what moves. */
 static SGMS_COLD void start_fresh(etel_xy_controller_t *self)
 {
@@ -387,6 +408,7 @@ static SGMS_COLD void start_fresh(etel_xy_controller_t *self)
 void etel_xy_controller_init(etel_xy_controller_t *self)
 {
     etel_xy_controller_settings(&self->settings);
+    self->settings_sum = sum_of(&self->settings);
     self->chain.moved = MASS;
     start_fresh(self);
 }
@@ -1206,6 +1228,10 @@ int etel_xy_controller_feedback(etel_xy_controller_t *self)
     if (phase != IDLE && phase != INVALID) {
         return ETEL_XY_CONTROLLER_OVERLAP;
     }
+    if (sum_of(&self->settings) != self->settings_sum) {
+        state_status(self, ETEL_XY_CONTROLLER_REFUSED);
+        return ETEL_XY_CONTROLLER_REFUSED;
+    }
     self->calls.phase = FEEDING;
     SGMS_FENCE();
     status = phase == INVALID ? start_again(self, ETEL_XY_CONTROLLER_OVERLAP,
@@ -1447,7 +1473,7 @@ const char *etel_xy_controller_status_text(int status)
     }
     if (status == ETEL_XY_CONTROLLER_REFUSED) {
         return
-            "refused: a number out of its range, or what was saved is damaged or another machine's";
+            "refused: a number out of its range, or what was saved or set is damaged or another machine's";
     }
     if (status == ETEL_XY_CONTROLLER_ARITHMETIC) {
         return "refused: this build or processor does not compute as needed";
@@ -1555,6 +1581,7 @@ SGMS_COLD int etel_xy_controller_init_with(
         return ETEL_XY_CONTROLLER_REFUSED;
     }
     self->settings = *settings;
+    self->settings_sum = sum_of(settings);
     start_fresh(self);
     return ETEL_XY_CONTROLLER_OK;
 }

@@ -82,7 +82,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "b2f02b278d27" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x9cd0e2a8u
+#define ETEL_XY_CONTROLLER_HEADER 0x5f92a15eu
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xb2f02b27u
@@ -113,7 +113,7 @@ enum {
     /* the application was compiled against another header than this package's */
     ETEL_XY_CONTROLLER_MISMATCH = -4,
     /* of a call that sets or loads: a number out of its range, or saved data damaged or another
-     * machine's */
+     * machine's; of an update: settings in memory are not those of init */
     ETEL_XY_CONTROLLER_REFUSED = -5,
     /* numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding */
     ETEL_XY_CONTROLLER_ARITHMETIC = -6
@@ -221,6 +221,7 @@ typedef struct {
  * What every sample needs comes first, within reach of short addresses. */
 typedef struct {
     etel_xy_controller_settings_t settings;
+    uint32_t settings_sum; /* of them, as they were when the axis started */
     struct { /* signal chain, of sample() and tick() */
         etel_xy_controller_real moved; /* kg, of set_mass() */
         int64_t position[2]; /* pm */
@@ -400,9 +401,9 @@ int etel_xy_controller_check(size_t size, uint32_t header);
  * (etel_xy_controller_selftest.h: SELFTEST_UPDATES of the first run, SELFTEST_SECOND of the other
  * after them), or so many more as the check that fails: 1 save and load, 2 settings and reset, 3
  * missing signals, 4 mass and measured friction, 5 statuses, 6 limit of the force, 7 lost intervals
- * and overlaps, 8 damaged state, 9 the handshake, 10 numbers that are not those of IEEE 754.
- * selftest() takes sizeof(etel_xy_controller_t) of stack; selftest_with() the memory of an axis, to
- * be set up anew after it. */
+ * and overlaps, 8 damaged state, 9 the handshake, 10 numbers that are not those of IEEE 754, 11
+ * functions and least squares within bounds. selftest() takes sizeof(etel_xy_controller_t) of
+ * stack; selftest_with() the memory of an axis, to be set up anew after it. */
 int etel_xy_controller_selftest(void);
 int etel_xy_controller_selftest_with(etel_xy_controller_t *axis);
 

@@ -9,6 +9,7 @@
 
 #include "etel_xy_controller_config.h"
 #include "etel_xy_controller_selftest.h"
+#include "sgms_linalg.h"
 
 /* The motion as it goes on, in whole numbers: alike on every processor. */
 typedef struct {
@@ -189,6 +190,80 @@ static int run_by_tasks(etel_xy_controller_t *axis)
     return 0;
 }
 
+/* The functions that the estimator takes from its headers, once more as they are compiled here: log
+ * undoes exp, on both sides of zero, near and far, to the last digits. */
+static int computes_functions(void)
+{
+    int good = 1;
+    for (int k = -60; k <= 60; k++) {
+        const sgms_real x = (sgms_real)k * (k % 2 == 0 ? 0.0123f : 0.61f);
+        const sgms_real most = 8.0f * SGMS_EPSILON * (1.0f + sgms_fabs(x));
+        good = is_near(sgms_log(sgms_exp(x)), x, most) && good;
+        good = is_near(sgms_exp(x) * sgms_exp(-x), 1.0f, most) && good;
+    }
+    return good;
+}
+
+enum { BOX = 4, BOXES = 60 }; /* unknowns, problems */
+
+/* A number of -1 to 1, alike on every processor. */
+static sgms_real next_number(uint32_t *state)
+{
+    *state = *state * UINT32_C(1664525) + UINT32_C(1013904223);
+    return (sgms_real)(int32_t)(*state >> 8) * 1.1920928955078125e-7f - 1.0f;
+}
+
+/* Slope of |r x - b|^2 / 2 along x_j. */
+static sgms_real slope_along(const sgms_real *r, const sgms_real *b, const sgms_real *x, int j)
+{
+    sgms_real slope = 0.0f;
+    for (int i = 0; i <= j; i++) {
+        sgms_real rest = -b[i];
+        for (int k = i; k < BOX; k++) {
+            rest += r[i * BOX + k] * x[k];
+        }
+        slope += r[i * BOX + j] * rest;
+    }
+    return slope;
+}
+
+/* Least squares within bounds: no x is better where the slope is zero, or leads out at a bound.
+ * Every fourth problem has wide ones. */
+static int solves_within_bounds(void)
+{
+    sgms_real r[BOX * BOX], b[BOX], lower[BOX], upper[BOX], x[BOX], work[(BOX + 1) * (BOX + 1)];
+    const sgms_box box = { r, BOX, BOX, b, lower, upper };
+    const sgms_real most = 1000.0f * SGMS_EPSILON;
+    uint32_t state = 1;
+    int pinned[BOX], good = 1;
+    for (int problem = 0; problem < BOXES; problem++) {
+        int active = 0;
+        for (int i = 0; i < BOX; i++) {
+            for (int j = 0; j < BOX; j++) {
+                r[i * BOX + j] = next_number(&state);
+            }
+            r[i * BOX + i] += r[i * BOX + i] < 0.0f ? -0.3f : 0.3f;
+            b[i] = next_number(&state);
+            lower[i] = 0.5f * next_number(&state) - (problem % 4 == 0 ? 50.0f : 0.5f);
+            upper[i] = lower[i] + (problem % 4 == 0 ? 100.0f : 0.6f) + 0.5f * next_number(&state);
+        }
+        const int said = sgms_box_least_squares(&box, x, pinned, work);
+        for (int i = 0; i < BOX; i++) {
+            const sgms_real slope = slope_along(r, b, x, i);
+            if (pinned[i] == 0) {
+                good = is_near(slope, 0.0f, most) && x[i] >= lower[i] && x[i] <= upper[i] && good;
+            } else {
+                const sgms_real side = pinned[i] < 0 ? -1.0f : 1.0f;
+                good = is_near(x[i], pinned[i] < 0 ? lower[i] : upper[i], 0.0f) &&
+                    side * slope <= most && good;
+                active++;
+            }
+        }
+        good = said == active && good;
+    }
+    return good;
+}
+
 /* Ticks along the motion, without its gap. True if every force was good. */
 static int tick_along(etel_xy_controller_t *axis, motion *m, int samples)
 {
@@ -325,6 +400,11 @@ static int obeys_settings(etel_xy_controller_t *axis, const etel_xy_controller_e
     good = etel_xy_controller_hold(axis, p, 0) == ETEL_XY_CONTROLLER_OK && good;
     etel_xy_controller_estimate(axis, &e);
     good = good && is_near(e.deviation[p], prior_sd[p] * unit, SELFTEST_COARSE * unit);
+    if (axis->settings.upper[p] < 1e6f) { /* a bound is within */
+        good = etel_xy_controller_set_parameter(axis, p,
+            from + (axis->settings.upper[p] - 1.0f) * unit, 0.1f * unit) ==
+            ETEL_XY_CONTROLLER_OK && good;
+    }
     good =
         etel_xy_controller_set_parameter(axis, p, to, 0.1f * unit) == ETEL_XY_CONTROLLER_OK && good;
     etel_xy_controller_estimate(axis, &e);
@@ -381,6 +461,15 @@ static int refuses_settings(etel_xy_controller_t *axis)
     settings.state[0] = state_noise[0];
     settings.lower[0] = 1.5f;
     good = etel_xy_controller_init_with(axis, &settings) == ETEL_XY_CONTROLLER_REFUSED && good;
+    for (int p = 0; p < PARAMETERS; p++) {
+        etel_xy_controller_settings(&settings);
+        settings.pause[p] = -1.0f;
+        good = etel_xy_controller_init_with(axis, &settings) == ETEL_XY_CONTROLLER_REFUSED && good;
+        settings.pause[p] = 0.0f; /* it may be known to change nothing */
+        good = etel_xy_controller_init_with(axis, &settings) == ETEL_XY_CONTROLLER_OK && good;
+        settings.parameter[p] = 0.0f;
+        good = etel_xy_controller_init_with(axis, &settings) == ETEL_XY_CONTROLLER_REFUSED && good;
+    }
     return good && is_near(axis->settings.measurement, MEASUREMENT_SD, 0.0f);
 }
 
@@ -622,6 +711,21 @@ static int refuses_overlap(etel_xy_controller_t *axis)
         ETEL_XY_CONTROLLER_REFUSED;
 }
 
+/* With any byte of the settings another one no estimate is made; true if that is so, and the axis
+ * is as before. */
+static int refuses_damaged_settings(etel_xy_controller_t *axis)
+{
+    unsigned char *const bytes = (unsigned char *)&axis->settings;
+    int good = 1;
+    for (size_t i = 0; i < sizeof axis->settings; i++) {
+        bytes[i] ^= 0x10u;
+        good = good && etel_xy_controller_feedback(axis) == ETEL_XY_CONTROLLER_REFUSED &&
+            status_of(axis) == ETEL_XY_CONTROLLER_REFUSED;
+        bytes[i] ^= 0x10u;
+    }
+    return good;
+}
+
 /* Damaged states give no estimate: the last good one stays, the force fades, and the next interval
  * is good. */
 static int survives_damage(etel_xy_controller_t *axis)
@@ -633,6 +737,7 @@ static int survives_damage(etel_xy_controller_t *axis)
     etel_xy_controller_estimate(axis, &before);
     good = sample_along(axis, &m, SAMPLES, &force) && good;
     share = etel_xy_controller_share(axis);
+    good = refuses_damaged_settings(axis) && good;
     for (int i = 0; i < BLOCKS_SIZE; i++) {
         axis->interval.blocks[i] = not_a_number();
     }
@@ -715,7 +820,10 @@ static int failed_check(etel_xy_controller_t *axis, const etel_xy_controller_est
     if (!checks_header()) {
         return 9;
     }
-    return refuses_arithmetic(axis) ? 0 : 10;
+    if (!refuses_arithmetic(axis)) {
+        return 10;
+    }
+    return computes_functions() && solves_within_bounds() ? 0 : 11;
 }
 
 int etel_xy_controller_selftest_with(etel_xy_controller_t *axis)

@@ -67,6 +67,7 @@ int main(int argc, char **argv)
         for (auto &prior : axis->settings.parameter) {
             prior *= 4;
         }
+        axis->settings_sum = sum_of(&axis->settings);
     }
     while (std::fread(sample, sizeof sample, 1, file) == 1) {
         const CALL(position) position = CALL(position_from_metres)(sample[0]);

@@ -184,6 +184,7 @@ FAULTS: Final = (
         "    start_signals(self);\n    copy(self->parameters.theta, self->estimate.theta, PARAMETERS);\n",
         "    start_signals(self);\n    fill(self->parameters.theta, 1.0, PARAMETERS);\n",
     ),
+    Fault("damaged settings used", C, "if (sum_of(&self->settings) != self->settings_sum) {", "if (0) {"),
     Fault("delay of signals not checked", C, "const bool good = is_timely && sgms", "const bool good = sgms"),
     Fault("invalid friction taken", C, "good && signals->valid && sgms_is_reading", "good && sgms_is_reading"),
     Fault("another header accepted", C, " || header != NAME_HEADER) {", ") {"),

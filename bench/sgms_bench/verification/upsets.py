@@ -21,9 +21,9 @@ FLAGS: Final = (
 )
 COUNTED: Final = r"^(\d+) flips, (\d+) back, (\d+) told, (\d+) silent, (\d+) in settings, (\d+) in factors$"
 MOST_SILENT: Final = 0.0015
-"""Of flips: an estimate that is another one a second later, and no status has said so. Two kinds of number have nothing
-that contradicts them: what the application has set (weights, bounds), and what earlier measurements are worth (factors,
-variances); a flipped exponent makes of the one another setting, of the other a certainty that might have been."""
+"""Of flips: an estimate that is another one a second later, and no status has said so. Nothing
+contradicts what earlier measurements are worth (factors, variances): a flipped exponent makes another certainty of it,
+that might have been."""
 
 
 def check_upsets(

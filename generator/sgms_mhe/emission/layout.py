@@ -20,6 +20,7 @@ _SCALARS: Final[Mapping[str, int]] = {
     "int64_t": 8,
     "uint8_t": 1,
     "uint32_t": 4,
+    "uint64_t": 8,
 }
 _OPERATIONS: Final[Mapping[type[ast.operator], Callable[[int, int], int]]] = {
     ast.Add: operator.add,

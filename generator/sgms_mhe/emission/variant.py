@@ -144,8 +144,10 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
             "Do not start. Compile all of the application against the header of this folder.",
         ),
         "refused": (
-            "of a call that sets or loads: a number out of its range, or saved data damaged or another machine's",
-            "The header says at each call what it leaves behind. After load(): a fresh start, that has to learn again.",
+            "of a call that sets or loads: a number out of its range, or saved data damaged or another machine's; "
+            "of an update: settings in memory are not those of init",
+            "The header says at each call what it leaves behind. After load(): a fresh start, that has to learn again. "
+            "Of an update: init, which sets them anew; until then the force ramps to zero.",
         ),
         "arithmetic": (
             "numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding",

@@ -312,6 +312,27 @@ static SGMS_COLD void start_signals(toy_t *self)
     start_compensation(self);
 }
 
+/* Sum of numbers' bits, going on from another one: any one of them that is another gives another
+ * sum. */
+static sgms_unsigned add_bits(sgms_unsigned sum, const sgms_real *numbers, int count)
+{
+    for (int i = 0; i < count; i++) {
+        sum = 31u * sum + (sgms_unsigned)sgms_bits(numbers[i]);
+    }
+    return sum;
+}
+
+static sgms_unsigned sum_of(const toy_settings_t *settings)
+{
+    sgms_unsigned sum = add_bits(0u, &settings->measurement, 1);
+    sum = add_bits(sum, settings->state, STATES);
+    sum = add_bits(sum, settings->parameter, PARAMETERS);
+    sum = add_bits(sum, settings->drift, PARAMETERS);
+    sum = add_bits(sum, settings->lower, PARAMETERS);
+    sum = add_bits(sum, settings->upper, PARAMETERS);
+    return add_bits(sum, settings->pause, PARAMETERS);
+}
+
 /* Nothing known but settings and what moves. */
 static SGMS_COLD void start_fresh(toy_t *self)
 {
@@ -347,6 +368,7 @@ static SGMS_COLD void start_fresh(toy_t *self)
 void toy_init(toy_t *self)
 {
     toy_settings(&self->settings);
+    self->settings_sum = sum_of(&self->settings);
     self->chain.moved = MASS;
     start_fresh(self);
 }
@@ -900,6 +922,10 @@ int toy_feedback(toy_t *self)
     if (phase != IDLE && phase != INVALID) {
         return TOY_OVERLAP;
     }
+    if (sum_of(&self->settings) != self->settings_sum) {
+        state_status(self, TOY_REFUSED);
+        return TOY_REFUSED;
+    }
     self->calls.phase = FEEDING;
     SGMS_FENCE();
     status =
@@ -1118,7 +1144,7 @@ const char *toy_status_text(int status)
     }
     if (status == TOY_REFUSED) {
         return
-            "refused: a number out of its range, or what was saved is damaged or another machine's";
+            "refused: a number out of its range, or what was saved or set is damaged or another machine's";
     }
     if (status == TOY_ARITHMETIC) {
         return "refused: this build or processor does not compute as needed";
@@ -1225,6 +1251,7 @@ SGMS_COLD int toy_init_with(toy_t *self, const toy_settings_t *settings)
         return TOY_REFUSED;
     }
     self->settings = *settings;
+    self->settings_sum = sum_of(settings);
     start_fresh(self);
     return TOY_OK;
 }

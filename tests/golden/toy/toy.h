@@ -78,7 +78,7 @@ typedef struct {
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "7f611f0cc49d" /* digest of the machine file */
-#define TOY_HEADER 0xd4d45215u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0x5c408ccau /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0x7f611f0cu
 #define TOY_SAVED_MACHINE_1 0xc49du
@@ -107,7 +107,7 @@ enum {
     TOY_OVERLAP = -3,
     TOY_MISMATCH = -4, /* the application was compiled against another header than this package's */
     /* of a call that sets or loads: a number out of its range, or saved data damaged or another
-     * machine's */
+     * machine's; of an update: settings in memory are not those of init */
     TOY_REFUSED = -5,
     /* numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding */
     TOY_ARITHMETIC = -6
@@ -204,6 +204,7 @@ typedef struct {
  * sample needs comes first, within reach of short addresses. */
 typedef struct {
     toy_settings_t settings;
+    uint64_t settings_sum; /* of them, as they were when the axis started */
     struct { /* signal chain, of sample() and tick() */
         toy_real moved; /* kg, of set_mass() */
         double position[2]; /* m */
@@ -334,8 +335,9 @@ int toy_check(size_t size, uint32_t header);
  * SELFTEST_UPDATES of the first run, SELFTEST_SECOND of the other after them), or so many more as
  * the check that fails: 1 save and load, 2 settings and reset, 3 missing signals, 4 mass and
  * measured friction, 5 statuses, 6 limit of the force, 7 lost intervals and overlaps, 8 damaged
- * state, 9 the handshake, 10 numbers that are not those of IEEE 754. selftest() takes sizeof(toy_t)
- * of stack; selftest_with() the memory of an axis, to be set up anew after it. */
+ * state, 9 the handshake, 10 numbers that are not those of IEEE 754, 11 functions and least squares
+ * within bounds. selftest() takes sizeof(toy_t) of stack; selftest_with() the memory of an axis, to
+ * be set up anew after it. */
 int toy_selftest(void);
 int toy_selftest_with(toy_t *axis);
 
