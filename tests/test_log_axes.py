@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -215,6 +216,23 @@ def test_a_channel_beyond_its_records_is_refused(version: str, tmp_path: Path) -
             (tmp_path / "damaged.mf4").write_bytes(damaged)
             with pytest.raises(InputError, match="lies beyond its records"):
                 read_log(tmp_path / "damaged.mf4")
+
+
+def test_a_damaged_file_is_refused_without_its_reader_s_own_words(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    log = motion(17)
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(samples=log.position_m, timestamps=log.time_s, name="ActPos", unit="rad")])
+        saved = file.save(tmp_path / "log.mf4")
+    saved.write_bytes(saved.read_bytes().replace(b"##FH", b"####"))
+    said = logging.getLogger("asammdf")
+    said.addHandler(caplog.handler)
+    with pytest.raises(InputError, match="a whole MDF file"):
+        read_log(saved)
+    said.removeHandler(caplog.handler)
+    assert caplog.records == [] and not said.disabled
 
 
 # --- lists in cells -----------------------------------------------------------------------------------------------

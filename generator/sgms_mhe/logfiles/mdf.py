@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gc
+import logging
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +28,12 @@ def read_mdf(path: Path) -> Table:
         pass  # a file that cannot be opened is told from one that is no MDF
 
     def open_file() -> Any:
-        hook, sys.unraisablehook = sys.unraisablehook, _silent
-        try:
+        with _silence():
             try:
                 return asammdf.MDF(path)
             except Exception as error:  # whatever a damaged file makes it stumble over
                 refusal = damage_error(path, _WHOLE, error)
             gc.collect()
-        finally:
-            sys.unraisablehook = hook
         raise refusal
 
     with open_file() as content:
@@ -59,7 +58,8 @@ def read_mdf(path: Path) -> Table:
             for name in names:
                 group, channel = where[name]
                 try:
-                    signal = content.get(group=group, index=channel)
+                    with _silence():
+                        signal = content.get(group=group, index=channel)
                 except Exception as error:
                     raise damage_error(path, _WHOLE, error) from None
                 is_clock = masters[group] == channel
@@ -87,5 +87,13 @@ def _is_astray(content: Any, group: int, channel: Any) -> bool:
     return bool(begin + channel.bit_count > 8 * size)
 
 
-def _silent(unraisable: Any) -> None:
-    """Silence the complaints of asammdf about a damaged file that it leaves half open; the refusal says it."""
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Silence what asammdf logs about a damaged file, and its complaints about one left half open."""
+    logger = logging.getLogger("asammdf")
+    before, hook = logger.disabled, sys.unraisablehook
+    logger.disabled, sys.unraisablehook = True, lambda _: None
+    try:
+        yield
+    finally:
+        logger.disabled, sys.unraisablehook = before, hook
