@@ -23,12 +23,13 @@ from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification import Wanted, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
-from sgms_mhe.identification.fits import AxisFit, RecordView, stribeck_limits
-from sgms_mhe.identification.records import ElementMotion, make_records, sort_logs
+from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis, stribeck_limits
+from sgms_mhe.identification.records import ElementMotion, filter_motion, make_records, sort_logs
 from sgms_mhe.identification.result import Number, round_number
 from sgms_mhe.identification.sampling import common_rate, round_up
-from sgms_mhe.identification.search import element_numbers, is_better
+from sgms_mhe.identification.search import ChosenModel, element_numbers, is_better
 from sgms_mhe.identification.spectrum import Spectrum, cluster
+from sgms_mhe.identification.terms import viscous_term
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine, Smoothing
 from sgms_mhe.model import build_model
@@ -237,6 +238,24 @@ def test_an_element_that_has_just_run_is_not_run_again(law: Law, monkeypatch: py
     assert np.array_equal(again.chi, first.chi) and np.array_equal(again.jacobian, first.jacobian)
     assert np.array_equal(alone.chi, first.chi)
     assert not np.array_equal(other.chi, first.chi)
+
+
+@pytest.mark.parametrize(
+    ("law", "decided", "quickest"),
+    [("sgms", True, "sgms"), ("sgms", False, "switching"), ("switching", True, "switching")],
+)
+def test_choices_are_made_beside_elements_that_switch_unless_a_log_shows_smooth_ones(
+    log: Log, law: Law, decided: bool, quickest: Law
+) -> None:
+    """Smooth ones of an axis whose laws were not told apart took a hundred steps a sample: minutes, for one choice."""
+    rows = prepare(axis(), log)
+    view = RecordView(rows, (filter_motion(rows),), 1.0, (1e-6, 1e-3))
+    terms = (viscous_term(view.rows),)
+    fits: dict[Law, AxisFit] = {
+        kind: fit_axis(view, terms, Shape(kind, np.array([1e-5]), None), iterations=0) for kind in ("sgms", "switching")
+    }
+    other: Law = "switching" if law == "sgms" else "sgms"
+    assert ChosenModel(fits[law], fits[other], decided, {}).quickest.shape.law == quickest
 
 
 def test_forces_pass_the_chain_as_the_log_does(log: Log) -> None:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.identification.elements import NO_RISE
-from sgms_mhe.identification.final_fit import CERTAIN, MISFIT, FinalIdentification
+from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
 from sgms_mhe.identification.fits import (
     AxisFit,
     NumberEstimate,
@@ -39,6 +39,8 @@ STAND_IN: Final = "not determined: a stand-in"
 AMBIGUOUS: Final = "ambiguous"
 SLID: Final = 0.25
 """Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
+MISFIT: Final = 2.0
+"""Noise floors of a residual beyond which three quarters of its power are no noise."""
 OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
 SURE: Final = 2.0

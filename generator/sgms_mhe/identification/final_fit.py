@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.fits import (
     AxisFit,
     NumberEstimate,
@@ -22,6 +23,7 @@ from sgms_mhe.identification.fits import (
 )
 from sgms_mhe.identification.search import (
     CHOICE_ITERATIONS,
+    ChosenModel,
     Progress,
     Views,
     align,
@@ -37,10 +39,12 @@ from sgms_mhe.identification.terms import (
     is_level,
     is_within_limits,
     level_terms,
+    place_curve,
     transmitted_force,
 )
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition, separating_moves
+from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
@@ -63,8 +67,6 @@ TRACE: Final = 0.02
 """Share of the level below which an element is a trace of something else, where it is not sure either."""
 UNSURE: Final = 0.25
 """Deviation of such a level over its value."""
-MISFIT: Final = 2.0
-"""Noise floors of a residual beyond which three quarters of its power are no noise."""
 FINAL_ITERATIONS: Final = 8
 RENEWALS: Final = 6
 SETTLED: Final = 1e-4
@@ -105,7 +107,7 @@ class Known:
 
 def make_final_fit(
     views: Views,
-    fit: AxisFit,
+    found: ChosenModel,
     base: Sequence[Term],
     companions: Sequence[Term],
     curves: Sequence[Term],
@@ -117,7 +119,7 @@ def make_final_fit(
 
     Args:
         views: the records.
-        fit: chosen elements, with every term.
+        found: chosen elements, with every term.
         base: viscous, inertial and sampling terms.
         companions: effects that may stand beside the elements, but for those of their level.
         curves: curves over speed of any shape, few numbers first.
@@ -126,11 +128,11 @@ def make_final_fit(
         report: called with each step.
     """
     report("what stands beside the elements")
-    fit, rivals = _add_companions(views, fit, base, companions, excited)
+    fit, rivals = _add_companions(views, found.quickest, base, companions, excited)
     fit = _test_level_rise(views, _test_rise(views, fit))
     fit = _test_curves(views, fit, [term for term in curves if term.name in excited])
     report("numbers at the full rate")
-    fit = _fit_finely(views, fit)
+    fit = _fit_finely(views, fit, found.fit.shape.law)
     if not wanted.count:
         count = len(fit.levels)
         fit = drop_traces(views, fit)
@@ -163,9 +165,9 @@ def make_final_fit(
     return FinalIdentification(fit, cov, numbers, mass, held_out_rms, views.fine, rivals)
 
 
-def _fit_finely(views: Views, fit: AxisFit) -> AxisFit:
-    """The fit at the full rate, what a level grows with taken from it until that does not change."""
-    fit = fit_axis(views.fine, fit.terms, fit.shape, iterations=FINAL_ITERATIONS)
+def _fit_finely(views: Views, fit: AxisFit, law: Law) -> AxisFit:
+    """The fit at the full rate under a law, what a level grows with taken from it until that does not change."""
+    fit = fit_axis(views.fine, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS)
     for _ in range(RENEWALS if any(map(is_level, fit.terms)) else 0):
         before = fit.rms
         fit = fit_axis(views.fine, _renew_levels(views.fine.rows, fit), fit.shape, iterations=FINAL_ITERATIONS)
@@ -236,20 +238,33 @@ def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
 def drop_idle_springs(views: Views, fit: AxisFit) -> AxisFit:
     """The fit without springs that leave no less on unseen rows: some stood against an element that has gone since.
 
-    One that pushes away makes up for an element beyond the travel, which is one that pulls back. Nor with those that
-    are no larger than what is left, where that is not noise: they may be a part of it.
+    One that pushes away makes up for an element beyond the travel, which is one that pulls back.
     """
-    used = views.fine.rows.used
     for term in fit.terms:
         if term.name in LAW_AND_SAMPLING or not effect_definition(term.name).elastic:
             continue
         terms = tuple(other for other in fit.terms if other is not term)
         without = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
-        size = float(np.std((fit.jacobian[:, fit.place(term.name)] @ fit.coefficient(term.name))[used]))
-        is_part = size <= fit.rms and fit.rms > MISFIT * views.fine.noise
-        if is_part or not is_better(fit, without):
+        if _bend(views.fine, fit) > 1.0 or not is_better(fit, without):
             fit = without
     return fit
+
+
+def _bend(view: RecordView, fit: AxisFit) -> float:
+    """Return what a force over the place has beside a straight line, over the size of a fit's spring.
+
+    0 where there is no spring, or the place shows nothing but a straight line. Beyond 1 the spring is a part of it.
+    """
+    springs = [term for term in fit.terms if term.name not in LAW_AND_SAMPLING and effect_definition(term.name).elastic]
+    if not springs:
+        return 0.0
+    curve = place_curve(view.rows)
+    bent = fit_axis(view, (*fit.terms, curve), fit.shape, iterations=0)
+    spring, beside = (
+        float(np.std(np.sum([term.columns @ bent.coefficient(term.name) for term in terms], axis=0)[view.rows.used]))
+        for terms in (springs, [curve])
+    )
+    return beside / max(spring, np.finfo(float).tiny) if is_better(bent, fit) else 0.0
 
 
 def _add_companions(
@@ -280,6 +295,7 @@ def _add_companions(
             for term in (*level, *left)
         }
         better = [name for name, other in tried.items() if is_better(other, fit) and _is_statable(other)]
+        better = [name for name in better if _bend(lined, tried[name]) <= 1.0]
         log_decision(
             "companions",
             "effect beside the elements that leaves clearly less on unseen rows",
@@ -299,11 +315,21 @@ def _add_companions(
             for other in better
             if other != best and separating_moves(best, other) and not is_better(fit, tried[other])
         )
+        if effect_definition(best).elastic and _bend(lined, fit) > 0.0:
+            rivals[best] += _ripples(best)
         if best not in excited:
             limits = [name for name in effect_definition(best).simpler.causes if name in tried]
             rivals[best] = (min(limits, key=lambda name: tried[name].cross_rms),) if limits else rivals[best]
         left = [term for term in left if term.name != best]
     return fit_aligned(views, fit.terms, fit.shape, rounds=1), {a: b for a, b in rivals.items() if b}
+
+
+def _ripples(name: str) -> tuple[str, ...]:
+    """The sines over the position that an effect is confused with."""
+    searches = {other: effect_definition(other).search for other in effect_definition(name).confused_with}
+    return tuple(
+        other for other, search in searches.items() if isinstance(search, Harmonic) and search.coordinate == "position"
+    )
 
 
 def _is_statable(fit: AxisFit) -> bool:

@@ -188,7 +188,7 @@ def _explore_records(records: Records, wanted: Wanted, known: Known, report: Pro
     measured = _measure(records, found)
     names = dict.fromkeys(term.name for term in (*companions, *level, *curves))
     excited = [name for name in names if _is_excited(effect_definition(name), measured)]
-    final = make_final_fit(views, found.fit, base, companions, curves, excited, known, report)
+    final = make_final_fit(views, found, base, companions, curves, excited, known, report)
     check_slides(views.fine, final, excited, records.names[0])
     log_decision(
         "numbers",

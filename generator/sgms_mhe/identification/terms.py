@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import Stribeck
@@ -22,8 +23,12 @@ LATE: Final = "late"
 """Name of the time [s] by which the force comes late."""
 HELD: Final = "held"
 """Name of the change [s^2] of the force with its second derivative."""
-LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, HELD)
+PLACE: Final = "place"
+"""Name of a force over the place that is no straight line: a spring is judged beside it, no file states it."""
+LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, HELD, PLACE)
 """Names of terms that are no effects."""
+BENDS: Final = (2, 3, 4, 5)
+"""Orders of the polynomials over the travel that such a force has."""
 TIMING: Final = 1.0
 """Samples that force and position are apart in time, one standard deviation: a drive holds its force for one."""
 
@@ -78,6 +83,15 @@ def sampling_terms(rows: Recording) -> tuple[Term, ...]:
         Term(LATE, rows.reduce(rate)[:, None], deviation=TIMING * step),
         Term(HELD, rows.reduce(second)[:, None], deviation=0.5 * (TIMING * step) ** 2),
     )
+
+
+def place_curve(rows: Recording) -> Term:
+    """Return the term of a force over the place that is no straight line, in Legendre polynomials over the travel."""
+    place = rows.position[rows.used]
+    low, high = float(place.min()), float(place.max())
+    scaled = (2.0 * rows.position - low - high) / max(high - low, np.finfo(float).tiny)
+    curves: Array = np.asarray(legvander(np.clip(scaled, -1.0, 1.0), max(BENDS)), dtype=np.float64)
+    return Term(PLACE, curves[:, BENDS])
 
 
 def companion_terms(rows: Recording) -> tuple[Term, ...]:
