@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from sgms_bench.verification.faults import FAULTS, Fault
-from sgms_bench.verification.mutation import Campaign, check_self_test, draw_mutants, judge_campaign
+from sgms_bench.verification.mutation import Campaign, Verdict, check_self_test, draw_mutants, judge_campaign
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import Package, emit_package
 
@@ -40,16 +40,16 @@ def test_fault_without_effect_counts_for_nothing(package: Package, campaign: Cam
     require_tool("gcc")
     source = package.files["etel_xy.c"]
     more = "\nint etel_xy_more(void);\nint etel_xy_more(void)\n{\n    return 1;\n}\n"
-    assert campaign.is_noticed({**package.files, "etel_xy.c": f"{source}\n"}) is None
-    assert campaign.is_noticed({**package.files, "etel_xy.c": source + more}) is None
+    assert campaign.judge({**package.files, "etel_xy.c": f"{source}\n"}) is Verdict.SAME
+    assert campaign.judge({**package.files, "etel_xy.c": source + more}) is Verdict.UNCHANGED
     other_text = source.replace("faster than max_velocity", "slower than max_velocity")
-    assert campaign.is_noticed({**package.files, "etel_xy.c": other_text}) is False
+    assert campaign.judge({**package.files, "etel_xy.c": other_text}) is Verdict.MISSED
 
 
 @pytest.mark.parametrize("fault", FAULTS[::10], ids=lambda fault: fault.what)
 def test_fault_is_noticed(fault: Fault, package: Package, campaign: Campaign, require_tool: Tool) -> None:
     require_tool("gcc")
-    assert campaign.is_noticed(fault.spoil(dict(package.files), "etel_xy")) is True
+    assert campaign.judge(fault.spoil(dict(package.files), "etel_xy")) is Verdict.NOTICED
 
 
 @pytest.mark.slow
@@ -70,7 +70,10 @@ def test_mutants_are_those_of_the_seed(package: Package) -> None:
 
 
 def test_campaign_fails_where_too_few_are_noticed() -> None:
-    verdicts = [("a", True), ("b", False), ("c", None), ("d", True)]
+    kinds = (Verdict.NOTICED, Verdict.MISSED, Verdict.UNCHANGED, Verdict.NOTICED, Verdict.SAME)
+    verdicts = list(zip("abcde", kinds, strict=True))
     assert judge_campaign("t", verdicts, 0.5).failures == ()
     assert judge_campaign("t", verdicts, 0.9).failures == ("b",)
-    assert judge_campaign("t", verdicts, 0.5).tried == "3 faults, 2 noticed; 1 without effect"
+    assert (
+        judge_campaign("t", verdicts, 0.5).tried == "3 faults, 2 noticed; 1 change no number of the exercise, 1 no byte"
+    )

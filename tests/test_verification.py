@@ -6,11 +6,12 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from sgms_bench.verification import __main__ as command
-from sgms_bench.verification import coverage, fuzzing, limits, upsets
+from sgms_bench.verification import coverage, fuzzing, limits, mcdc, upsets
 from sgms_bench.verification.bits import BIG_ENDIAN, Build, exercise, required_statuses, same_bits, target_builds
 from sgms_bench.verification.constructs import jumps_and_storage, pointers_and_recursion, unbounded_loops
 from sgms_bench.verification.coverage import check_coverage, measure
@@ -33,6 +34,7 @@ from sgms_bench.verification.syntax import syntax_tree
 from sgms_bench.verification.upsets import check_upsets
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.support.errors import BuildError
 
 Tool = Callable[[str], str]
 PLAIN = SANITIZERS["plain"]
@@ -231,6 +233,20 @@ def test_gap_without_a_reason_is_found(require_tool: Tool, monkeypatch: pytest.M
     outcome = check_coverage([specimen("ekf")], silent)
     assert len(outcome.failures) == len(left) + 1
     assert "no package has this gap any more: absent: nothing" in outcome.failures
+
+
+@pytest.mark.parametrize("module", [coverage, mcdc])
+def test_package_that_does_not_compile_is_a_failure(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the package and what the compiler said, and no reason of another one blamed."""
+
+    def refuse(*_: object) -> None:
+        raise BuildError("gcc: exit code 1")
+
+    monkeypatch.setattr(module, "measure", refuse)
+    monkeypatch.setattr(mcdc, "find_version", lambda: "")
+    check = {"coverage": check_coverage, "mcdc": check_conditions}[module.__name__.rpartition(".")[2]]
+    outcome = check([specimen("ekf")], silent)
+    assert outcome.failures == ("specimen_ekf: gcc: exit code 1",)
 
 
 def test_every_gap_has_a_reason() -> None:

@@ -19,6 +19,7 @@ from sgms_bench.verification.gaps import GAPS, Gap
 from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, require, run_or_raise
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Machine
+from sgms_mhe.support.errors import BuildError
 
 # Without inlining every branch of a function stands for all of its callers, once.
 FLAGS: Final = ("-std=c99", "-O0", "-ffp-contract=off", "--coverage", "-fno-inline")
@@ -69,7 +70,10 @@ def check_coverage(machines: Sequence[Machine], progress: Callable[[str], None])
         return CheckOutcome(check, "", skipped=str(absent))
     found = []
     for machine in machines:
-        found.append(measure(emit_package(machine)))
+        try:
+            found.append(measure(emit_package(machine)))
+        except BuildError as error:
+            return CheckOutcome(check, f"nothing beyond {machine.name}", (f"{machine.name}: {error}",))
         progress(f"{check}: {machine.name}, {found[-1].lines} lines, {found[-1].branches} branches")
     lines, branches = (np.sum([getattr(of, name) for of in found], axis=0) for name in ("lines", "branches"))
     left = find_gaps(found)

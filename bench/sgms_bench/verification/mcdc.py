@@ -16,6 +16,7 @@ from sgms_bench.verification.coverage import list_programs
 from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, run, run_or_raise
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Machine
+from sgms_mhe.support.errors import BuildError
 
 VERSIONS: Final = ("", "-18", "-19", "-20", "-21")
 """Of clang and its tools, as Debian names them; 18 is the first that counts conditions."""
@@ -61,7 +62,10 @@ def check_conditions(machines: Sequence[Machine], progress: Callable[[str], None
         return CheckOutcome(check, "", skipped=str(absent))
     found: Conditions = {}
     for machine in machines:
-        merge(found, measure(emit_package(machine), version))
+        try:
+            merge(found, measure(emit_package(machine), version))
+        except BuildError as error:
+            return CheckOutcome(check, f"nothing beyond {machine.name}", (f"{machine.name}: {error}",))
         progress(f"{check}: {machine.name}")
     deciding, count = sum(map(sum, found.values())), sum(map(len, found.values()))
     tried = (

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Final
 
@@ -48,7 +50,7 @@ def check_self_test(mutants: int, seed: int, progress: Progress) -> list[CheckOu
         def outcome(title: str, faults: Sequence[tuple[str, Mapping[str, str]]], wanted: float) -> CheckOutcome:
             verdicts = []
             for k, (what, files) in enumerate(faults, 1):
-                verdicts.append((what, campaign.is_noticed(files)))
+                verdicts.append((what, campaign.judge(files)))
                 if k % 10 == 0:
                     progress(f"{title}: {k}")
             return judge_campaign(title, verdicts, wanted)
@@ -56,20 +58,34 @@ def check_self_test(mutants: int, seed: int, progress: Progress) -> list[CheckOu
         return [outcome(titles[0], by_hand, BY_HAND_NOTICED), outcome(titles[1], drawn, AT_RANDOM_NOTICED)]
 
 
-def judge_campaign(title: str, verdicts: Sequence[tuple[str, bool | None]], wanted: float) -> CheckOutcome:
+class Verdict(Enum):
+    """What has become of a fault."""
+
+    NOTICED = "by the self-test"
+    MISSED = "the exercise of all calls returns other numbers; the self-test does not fail"
+    UNCHANGED = "no number that the exercise returns is another one: equivalent, or beyond what it does"
+    SAME = "compiled to the same bytes, or not at all"
+
+
+def judge_campaign(title: str, verdicts: Sequence[tuple[str, Verdict]], wanted: float) -> CheckOutcome:
     """Outcome of a campaign: it fails where less than the wanted share is noticed; then every survivor is named.
+
+    The share is of faults that self-test or exercise see; those that neither sees are counted beside it, as they may be
+    equivalent and may not.
 
     Args:
         title: of the check.
-        verdicts: of each fault: noticed or not; None: it has no effect.
+        verdicts: of each fault.
         wanted: share to be noticed.
     """
-    counted = [(what, noticed) for what, noticed in verdicts if noticed is not None]
-    survivors = tuple(what for what, noticed in counted if not noticed)
+    count = Counter(verdict for _, verdict in verdicts)
+    survivors = tuple(what for what, verdict in verdicts if verdict is Verdict.MISSED)
+    seen = count[Verdict.NOTICED] + len(survivors)
     tried = (
-        f"{len(counted)} faults, {len(counted) - len(survivors)} noticed; {len(verdicts) - len(counted)} without effect"
+        f"{seen} faults, {count[Verdict.NOTICED]} noticed; {count[Verdict.UNCHANGED]} change no number of the "
+        f"exercise, {count[Verdict.SAME]} no byte"
     )
-    return CheckOutcome(title, tried, survivors if len(survivors) > (1.0 - wanted) * len(counted) else ())
+    return CheckOutcome(title, tried, survivors if len(survivors) > (1.0 - wanted) * seen else ())
 
 
 class Campaign:
@@ -93,23 +109,20 @@ class Campaign:
         name = self._name
         self._main.write_text(f'#include "{name}.h"\nint main(void)\n{{\n    return {name}_selftest() != 0;\n}}\n')
 
-    def is_noticed(self, files: Mapping[str, str]) -> bool | None:
-        """Return True if the self-test of other files fails.
-
-        None: they do not compile, or to the same bytes; or no bit of what the exercise of all calls returns differs.
-        """
+    def judge(self, files: Mapping[str, str]) -> Verdict:
+        """Return what self-test and exercise say of other files."""
         with tempfile.TemporaryDirectory(dir=self._folder) as scratch:
             bad = Path(scratch) / "bad"
             spoilt = self._object(bad, files)
             if spoilt is None or spoilt.read_bytes() == self._right:
-                return None
+                return Verdict.SAME
             program, test = bad / "program", bad / f"{self._name}_selftest.c"
             made = run(["gcc", *FLAGS, f"-I{bad}", self._main, test, spoilt, "-o", program])
             if made.code != 0:
-                return None
+                return Verdict.SAME
             if run([program], seconds=SECONDS).code != 0:
-                return True
-            return None if self._exercise(bad, spoilt) == self._digest else False
+                return Verdict.NOTICED
+            return Verdict.UNCHANGED if self._exercise(bad, spoilt) == self._digest else Verdict.MISSED
 
     def _exercise(self, folder: Path, compiled: Path) -> Run:
         """Outcome of the exercise of all calls: a digest of the bits of what they return."""
