@@ -340,3 +340,22 @@ def test_gaps_are_passed_over(machine: Machine, log: Log) -> None:
     empty = np.full(len(log), np.nan)
     empty[::7] = log.position_m[::7]
     check_plausible(replace(log, position_m=empty), machine)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_scale_is_told_by_a_small_inertia_where_little_else_is_left(machine: Machine, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mass, level = machine.plant.moved, machine.friction.coulomb
+    time = np.arange(12000) / machine.sampling.rate
+    slow, fast = rng.uniform(2.0, 4.0), rng.uniform(9.0, 14.0)
+    position = np.sin(slow * time) / slow**2 + 0.9 * np.sin(fast * time) / fast**2
+    position *= 0.25 * level / (mass * np.std(np.sin(slow * time) + 0.9 * np.sin(fast * time)))
+    velocity = np.gradient(position, time)
+    friction = level * np.tanh(velocity / (0.02 * np.std(velocity))) + rng.normal(0.0, 0.05 * level, len(time))
+    right = Log(time, position, mass * np.gradient(velocity, time) + friction, machine.sampling.rate)
+    quick = override_machine(machine, {"sampling": {"max_velocity": 10.0}})
+    for factor in (1.0, 8.0, 1.0 / 8.0):
+        check_plausible(replace(right, force_N=factor * right.force_N), quick)
+    factor = float(rng.uniform(30.0, 60.0))
+    with pytest.raises(InputError, match=r"scale = 0\.0[123]"):
+        check_plausible(replace(right, force_N=factor * right.force_N), quick)

@@ -87,7 +87,9 @@ def _inertia(x: Array, v: Array, a: Array, force: Array) -> float:
     whole, others = _jackknife(A, force)
     # Acceleration that the other terms would take on themselves says nothing: only the rest of it does.
     rest = A[:, 0] - A[:, 1:] @ np.linalg.lstsq(A[:, 1:], A[:, 0], rcond=None)[0]
-    told = abs(whole[0]) * float(np.std(rest)) > _LARGE * spread and _sure(whole[0], [other[0] for other in others])
+    # A small part is no accident either where still less is left unexplained.
+    least = min(_LARGE * spread, float(np.std(force - A @ whole)))
+    told = abs(whole[0]) * float(np.std(rest)) > least and _sure(whole[0], [other[0] for other in others])
     return float(whole[0] / _size(a)) if told else 0.0
 
 
