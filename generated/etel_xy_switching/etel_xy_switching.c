@@ -1456,8 +1456,7 @@ const char *etel_xy_switching_status_text(int status)
         return "refused: the application was compiled against another header";
     }
     if (status == ETEL_XY_SWITCHING_REFUSED) {
-        return
-            "refused: a number out of its range, or what was saved or set is damaged or another machine's";
+        return "refused: out of range, or what was saved or set is damaged or another machine's";
     }
     if (status == ETEL_XY_SWITCHING_ARITHMETIC) {
         return "refused: this build or processor does not compute as needed";

@@ -1143,8 +1143,7 @@ const char *toy_status_text(int status)
         return "refused: the application was compiled against another header";
     }
     if (status == TOY_REFUSED) {
-        return
-            "refused: a number out of its range, or what was saved or set is damaged or another machine's";
+        return "refused: out of range, or what was saved or set is damaged or another machine's";
     }
     if (status == TOY_ARITHMETIC) {
         return "refused: this build or processor does not compute as needed";
