@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from sgms_mhe.diagnosis import alignment
 from sgms_mhe.diagnosis.alignment import decimate, find_step_error, halve_steps, is_mean_velocity
 from sgms_mhe.diagnosis.final_fit import _time_step
 from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.diagnosis.models import CompiledFit
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -137,6 +139,22 @@ def test_steps_of_a_microsecond_are_short_enough() -> None:
     log = simulate_axis(machine, path.trajectory("stroke"), config, truth=False).log
     subject = Subject.of(machine, prepare(machine, log))
     assert not find_step_error(subject, fit_model(subject, (), refitted=())).any()
+
+
+def test_a_model_that_diverges_at_another_rate_is_none_there(slow: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may stay finite: a hose of 1e23 N at half the step was taken off the measured friction."""
+    subject = Subject.of(slow, prepare(slow, simulated(slow).log))
+    fit = fit_model(subject, (), refitted=())
+    assert find_step_error(subject, fit).any()
+    run = CompiledFit.run
+
+    def diverge(self: CompiledFit, recording: Recording, theta: Array, **options: Any) -> Any:
+        friction, slopes = run(self, recording, theta, **options)
+        return friction * (1e20 if recording.machine.sampling.rate > RATE else 1.0), slopes
+
+    monkeypatch.setattr(CompiledFit, "run", diverge)
+    assert not find_step_error(subject, fit).any()
+    assert np.array_equal(subject.friction(fit), run(fit.model, subject.recording, fit.theta, derivatives=False)[0])
 
 
 def test_a_step_goes_to_where_the_record_has_it(slow: Machine) -> None:

@@ -208,9 +208,9 @@ def _time_step(subject: Subject, along: Subject | None, fit: Fit, effect: Candid
         recording, left = along.recording, find_residual(along, fit, subject.alignment.sampled)
         inside = _between_fitted(recording, whole.recording, instant)
     without = left + np.where(recording.time > instant, size, 0.0)
-    if inside.sum() < 2:
-        return effect
     rest, time = without[inside], recording.time[inside]
+    if len(rest) < 2 or not np.all(np.isfinite(rest)):
+        return effect
     last = int(np.argmin(np.cumsum(rest**2 - (rest - size) ** 2)))  # before the step
     at = float(time[min(last + 1, len(time) - 1)])
     return replace(effect, parameters={**effect.parameters, kind.time: at - 0.5 / recording.rate})

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.models import CompiledFit, FitError, LeastSquares, Prior, find_at_bounds, make_model
+from sgms_mhe.diagnosis.models import CompiledFit, FitError, LeastSquares, Prior, diverges, find_at_bounds, make_model
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup, smooth_law
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition, reported_name
@@ -209,11 +209,13 @@ class Subject:
         return np.asarray(np.clip(theta, [c.lower for c in model.columns], [c.upper for c in model.columns]))
 
     def friction(self, fit: Fit) -> Array:
-        """Friction (m) [N] of this machine at this rate, with the numbers of a fit."""
+        """Friction (m) [N] of this machine at this rate, with the numbers of a fit; NaN where it is no model there."""
         values = {(c.group, c.name): c.si(t) for c, t in zip(fit.model.columns, fit.theta, strict=True)}
         model = self.model(fit.effects)
         theta = np.array([c.theta(values[c.group, c.name]) for c in model.columns])
-        return model.run(self.recording, theta, derivatives=False)[0]
+        friction = model.run(self.recording, theta, derivatives=False)[0]
+        # At another rate than that of the fit a state may diverge, and stay finite.
+        return np.full_like(friction, np.nan) if diverges(self.recording, friction) else friction
 
 
 def fit_model(

@@ -191,7 +191,13 @@ def fit_law(
         partial(run_parallel, [partial(_start_stiff, subject, effects, criteria) for subject in both]),
         [partial(subject.whole.model, effects) for subject in both],
     )
-    own, fit = align_fit(own, fit_model(own, effects))
+    try:
+        fit = fit_model(own, effects)
+    except FitError:
+        if known is None:
+            raise
+        return laws, known
+    own, fit = align_fit(own, fit)
 
     def fit_other() -> tuple[Subject, Fit | None]:
         subject, found = _fit_alternative(alternative, fit)

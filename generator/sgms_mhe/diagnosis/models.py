@@ -411,16 +411,14 @@ class LeastSquares:
     def at(self, theta: Array) -> ModelPoint:
         """The model at theta (n_p)."""
         recording, free, prior = self.recording, self.free, self.prior
-        scale = max(_largest(recording.friction), recording.machine.friction.coulomb)
-        largest = UNSTABLE * scale
         y, jacobian = self.model.run(recording, theta)
         residual = recording.friction - y
-        if not _largest(residual) < largest:
+        if diverges(recording, residual):
             return ModelPoint(theta, residual, np.empty((0, 0)), math.inf)
         seen = residual[self.seen]
         cost = float(seen @ seen) + float(prior.binding @ (theta[free] - prior.centre) ** 2)
         # A state that its steps are too long for shows in its derivatives first.
-        if jacobian is None or not math.isfinite(cost) or not _largest(jacobian) < largest:
+        if jacobian is None or not math.isfinite(cost) or diverges(recording, jacobian):
             return ModelPoint(theta, residual, np.empty((0, 0)), math.inf)
         return ModelPoint(theta, residual, jacobian, cost)
 
@@ -482,6 +480,11 @@ class LeastSquares:
             if after != 0.0:
                 moved[i] = min(max(theta[i] + (moved[i] - theta[i]) * before / after, column.lower), column.upper)
         return moved
+
+
+def diverges(recording: Recording, values: Array) -> bool:
+    """Return True if friction [N] along a recording, or its derivatives, have the size of a state that diverged."""
+    return not _largest(values) < UNSTABLE * max(_largest(recording.friction), recording.machine.friction.coulomb)
 
 
 def _largest(values: Array) -> float:
