@@ -21,7 +21,7 @@ from cli_cases import done, refused
 from sgms_bench.studies.identification import identified_axis
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.identification import Wanted, identify, interval
+from sgms_mhe.identification import Wanted, final_fit, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis, stribeck_limits
 from sgms_mhe.identification.records import ElementMotion, filter_motion, make_records, sort_logs
@@ -256,6 +256,16 @@ def test_choices_are_made_beside_elements_that_switch_unless_a_log_shows_smooth_
     }
     other: Law = "switching" if law == "sgms" else "sgms"
     assert ChosenModel(fits[law], fits[other], decided, {}).quickest.shape.law == quickest
+
+
+def test_an_element_of_no_level_is_dropped_however_many_were_asked_for(log: Log) -> None:
+    """A machine file cannot state a stiffness of 0: an identification ended in that."""
+    rows = prepare(axis(), log)
+    view = RecordView(rows, (filter_motion(rows),), 1.0, (1e-6, 1e-3))
+    fit = fit_axis(view, (viscous_term(rows),), Shape("switching", np.array([1e-5, 1e-4]), None), iterations=0)
+    empty = dataclasses.replace(fit, levels=np.array([fit.coulomb, 0.0]))
+    left = final_fit.drop_empty(view, empty)
+    assert len(left.levels) == 1 and left.levels[0] > 0.0
 
 
 def test_forces_pass_the_chain_as_the_log_does(log: Log) -> None:

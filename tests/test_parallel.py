@@ -29,6 +29,7 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings import recording as recordings
 from sgms_mhe.recordings.recording import RUNS_CACHED, Runs, prepare
+from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support import toolchain
 from sgms_mhe.support.errors import InputError
@@ -322,14 +323,16 @@ def test_one_and_two_workers_say_the_same_to_the_bit(
     found, compiled = [], []
     for k, count in enumerate(("1", "2")):
 
-        def looked_up(self: Runs, *arguments: Any, at: int = k) -> Any:
+        def looked_up(self: Runs, code: Any, along: Any, *arguments: Any, at: int = k) -> Any:
+            model = isinstance(along, Signals)  # elements of an identification run along arrays
+
             def counted() -> Any:
-                ran[at] += 1
+                ran[at] += model
                 return run()
 
-            asked[at] += 1
+            asked[at] += model
             *asked_for, run = arguments
-            return get(self, *asked_for, counted)
+            return get(self, code, along, *asked_for, counted)
 
         monkeypatch.setattr(Runs, "get", looked_up)
         monkeypatch.setenv(VARIABLE, count)

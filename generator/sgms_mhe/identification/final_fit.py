@@ -138,6 +138,7 @@ def make_final_fit(
         fit = drop_traces(views, fit)
         if len(fit.levels) < count:
             fit = drop_idle_springs(views, fit)
+    fit = drop_empty(views.fine, fit)
     cov = covariance(views.fine, fit)
     wide = quantities(fit, cov)
     mass = _mass(views.fine.rows, wide["mass"])
@@ -150,7 +151,7 @@ def make_final_fit(
     )
     if dropped:
         terms = tuple(term for term in fit.terms if term.name not in dropped)
-        fit = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
+        fit = drop_empty(views.fine, fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS))
         cov = covariance(views.fine, fit)
     if noise_share(views.fine, fit) > MASS_NOISE:
         mass = None
@@ -232,6 +233,14 @@ def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
             break
         shape = Shape(fit.shape.law, fit.shape.distances[~unsure], fit.shape.rise)
         fit = fit_axis(views.fine, fit.terms, shape, iterations=FINAL_ITERATIONS)
+    return fit
+
+
+def drop_empty(view: RecordView, fit: AxisFit) -> AxisFit:
+    """The fit without elements of no level, however many were asked for: a machine file cannot state one."""
+    while not fit.levels.all() and fit.levels.any():
+        shape = Shape(fit.shape.law, fit.shape.distances[fit.levels > 0.0], fit.shape.rise)
+        fit = fit_axis(view, fit.terms, shape, iterations=FINAL_ITERATIONS)
     return fit
 
 
