@@ -35,19 +35,19 @@ def lists(columns: Columns) -> dict[str, list[float]]:
     return {name: values.tolist() for name, values in columns.items()}
 
 
-def by_rows(columns: Columns) -> Any:
+def make_rows(columns: Columns) -> Any:
     return {name: {str(k): x for k, x in enumerate(values)} for name, values in lists(columns).items()}
 
 
-def typed(columns: Columns) -> Any:
+def make_typed_table(columns: Columns) -> Any:
     return {"schema": {"fields": [{"name": name} for name in columns]}, "data": samples(columns)}
 
 
-def in_a_group(columns: Columns) -> Any:
+def make_group(columns: Columns) -> Any:
     return {"made": {"by": "a rig", "tags": ["a", "b"]}, "run": {"rate": 250, "signals": lists(columns)}}
 
 
-@pytest.mark.parametrize("layout", [samples, lists, by_rows, typed, in_a_group])
+@pytest.mark.parametrize("layout", [samples, lists, make_rows, make_typed_table, make_group])
 @pytest.mark.parametrize("indent", [None, 2])
 def test_samples_are_found_wherever_they_are(layout: Callable[[Columns], Any], indent: Any, tmp_path: Path) -> None:
     columns = motion(1)

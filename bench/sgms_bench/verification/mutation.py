@@ -59,7 +59,7 @@ def check_self_test(mutants: int, seed: int, progress: Progress) -> list[CheckOu
 
 
 class Verdict(Enum):
-    """What has become of a fault."""
+    """Outcome of a fault in a package: what notices it."""
 
     NOTICED = "by the self-test"
     MISSED = "the exercise of all calls returns other numbers; the self-test does not fail"

@@ -191,12 +191,9 @@ def fit_law(
         partial(run_parallel, [partial(_start_stiff, subject, effects, criteria) for subject in both]),
         [partial(subject.whole.model, effects) for subject in both],
     )
-    try:
-        fit = fit_model(own, effects)
-    except FitError:
-        if known is None:
-            raise
-        return laws, known
+    fit = _fit_or_known(own, effects, known)
+    if fit is known:
+        return laws, fit
     own, fit = align_fit(own, fit)
 
     def fit_other() -> tuple[Subject, Fit | None]:
@@ -258,14 +255,21 @@ def fit_chosen(
     subject = laws.chosen
     if not is_driven(effects):  # what runs next, at the full rate, is compiled beside
         subject = beside(partial(_start_stiff, subject, effects, criteria), [partial(subject.whole.model, effects)])
+    fit = _fit_or_known(subject, effects, known)
+    if fit is known:
+        return laws, fit
+    subject, fit = align_fit(subject, fit)
+    return laws.replace_chosen(subject), fit
+
+
+def _fit_or_known(subject: Subject, effects: Sequence[CandidateEffect], known: Fit | None) -> Fit:
+    """The fit from the machine's own numbers, or the one that is known where none can begin there."""
     try:
-        fit = fit_model(subject, effects)
+        return fit_model(subject, effects)
     except FitError:
         if known is None:
             raise
-        return laws, known
-    subject, fit = align_fit(subject, fit)
-    return laws.replace_chosen(subject), fit
+        return known
 
 
 def align_fit(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:

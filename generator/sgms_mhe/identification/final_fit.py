@@ -304,7 +304,8 @@ def _add_companions(
             for term in (*level, *left)
         }
         better = [name for name, other in tried.items() if is_better(other, fit) and _is_statable(other)]
-        better = [name for name in better if _bend(lined, tried[name]) <= 1.0]
+        bends = {name: _bend(lined, tried[name]) for name in better}
+        better = [name for name in better if bends[name] <= 1.0]
         log_decision(
             "companions",
             "effect beside the elements that leaves clearly less on unseen rows",
@@ -324,7 +325,7 @@ def _add_companions(
             for other in better
             if other != best and separating_moves(best, other) and not is_better(fit, tried[other])
         )
-        if effect_definition(best).elastic and _bend(lined, fit) > 0.0:
+        if effect_definition(best).elastic and bends[best] > 0.0:
             rivals[best] += _ripples(best)
         if best not in excited:
             limits = [name for name in effect_definition(best).simpler.causes if name in tried]

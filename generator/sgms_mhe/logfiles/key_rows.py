@@ -110,16 +110,14 @@ def _understand_lvm(rows: Sequence[tuple[int, Sequence[str]]], count: int) -> Ke
             break
         keyed[fields[0]] = fields
 
-    def stated(key: str, index: int) -> str:
-        return "".join(keyed.get(key, ())[index : index + 1])
-
+    units = keyed.get(_Y_UNIT, ())
     is_timed = not any(list(fields[:2]) == ["X_Columns", "No"] for _, fields in above)
     clocks = [k for k, name in enumerate(names) if name == _X_VALUE and is_timed]
     time = "s" if "Time" in keyed.get(_X_DIMENSION, ()) else ""
     return KeyRows(
         line,
         tuple("Time" if k in clocks else name for k, name in enumerate(names)),
-        tuple(time if k in clocks else stated(_Y_UNIT, k) for k in range(count)),
+        tuple(time if k in clocks else "".join(units[k : k + 1]) for k in range(count)),
         {k: k - 1 for k in range(count) if k - 1 in clocks} if len(clocks) > 1 else {},
         {},
     )

@@ -120,7 +120,7 @@ def find_missing(path: Path, table: Table, mapping: LogMapping | None, preferred
     return tuple(missing)
 
 
-def _stated(column: Column, quantity: Quantity) -> tuple[float, str]:
+def _find_unit(column: Column, quantity: Quantity) -> tuple[float, str]:
     """(factor, unit) that the file states for a column, beside the name or in it, as this package spells it.
 
     The factor is that of 0.001 deg, and 1 of a unit whose factor only [log] can say.
@@ -134,7 +134,7 @@ def _stated(column: Column, quantity: Quantity) -> tuple[float, str]:
 
 
 def _stated_unit(column: Column, quantity: Quantity) -> str:
-    return _stated(column, quantity)[1]
+    return _find_unit(column, quantity)[1]
 
 
 def _usual(table: Table, role: Role) -> list[Column]:
@@ -244,7 +244,7 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
     else:
         source = Source(quantity, column.name, *_mapped_unit(path, quantity, mapped, column, stamped))
         if mapped.unit is None and mapped.scale == 1.0 and not stamped:
-            source = replace(source, scale=_stated(column, quantity)[0])
+            source = replace(source, scale=_find_unit(column, quantity)[0])
     if mapped is None:
         return source
     stated = {key: getattr(mapped, key) for key in ("row", "offset", "counts_per", "wrap")}
@@ -321,7 +321,7 @@ def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Sourc
             allowed = f"the unit {quantity.unit}, as in its name; which holds? [log] of the machine file says: {line}"
             raise InputError(path, f"column {column.name}, unit", beside, allowed)
         return Source(quantity, column.name, quantity.unit, "its name")
-    factor, stated = _stated(column, quantity)
+    factor, stated = _find_unit(column, quantity)
     return Source(quantity, column.name, _check_unit(path, quantity, column, stated), "name and unit", scale=factor)
 
 
