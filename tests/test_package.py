@@ -891,7 +891,7 @@ def test_status_texts(axis: Any) -> None:
         ("NUMERIC", "not finite"),
         ("OVERLAP", "overlapped"),
         ("MISMATCH", "another header"),
-        ("REFUSED", "out of its range"),
+        ("REFUSED", "out of range"),
         ("ARITHMETIC", "does not compute"),
     ):
         assert word in texts[name]
