@@ -323,7 +323,7 @@ def test_it_is_judged_on_another_record(tmp_path: Path) -> None:
     found = diagnose(axis, here, others=[there])
     assert found.verdict == "unexplained" and found.learned is not None and len(found.learned.records) == 1
     record = found.learned.records[0]
-    assert record.before == pytest.approx(found.records[0].held_out_after, rel=1e-6)
+    assert record.before == pytest.approx(found.records[1].held_out_after, rel=1e-6)
     assert record.gain > 0.3 and not record.is_worse
     extended = found.learned.extended
     assert extended is not None

@@ -1,4 +1,4 @@
-"""Causes of one record judged on others: another origin, another temperature, a cause that only one record has."""
+"""Causes fitted to several records and judged on each: other origins, temperatures, a cause that only one has."""
 
 from __future__ import annotations
 
@@ -88,7 +88,8 @@ def diagnosed(machine: Machine, log: Log, hidden: Hidden, friction: Mapping[str,
 
 
 def judged(machine: Machine, hidden: Hidden, others: Sequence[Log], **changes: Any) -> Diagnosis:
-    return judge_on_records(diagnosed(machine, recorded(machine, 1, hidden), hidden, **changes), others, lambda _: None)
+    first = recorded(machine, 1, hidden)
+    return judge_on_records(diagnosed(machine, first, hidden, **changes), first, others, lambda _: None)
 
 
 def test_a_ripple_transfers_to_another_power_up_and_temperature(machine: Machine) -> None:
@@ -98,7 +99,7 @@ def test_a_ripple_transfers_to_another_power_up_and_temperature(machine: Machine
     assert ripple.transfers is True
     assert asymmetry.transfers is False  # the other record has none
     assert not found.identifies(asymmetry)
-    (record,) = found.records
+    _, record = found.records
     assert record.name == "record 2"
     assert record.origin_m == pytest.approx(0.0061, abs=3e-4)
     first, second = record.causes
@@ -110,7 +111,7 @@ def test_a_ripple_transfers_to_another_power_up_and_temperature(machine: Machine
 def test_what_both_records_have_leaves_no_more_than_noise(machine: Machine) -> None:
     hidden = [RIPPLE, ASYMMETRY]
     found = judged(machine, hidden, [recorded(machine, 2, hidden, scale=COLD, origin=-0.0021, offset=-0.2)])
-    (record,) = found.records
+    _, record = found.records
     assert [cause.transfers for cause in found.causes] == [True, True]
     assert record.origin_m % 0.0171 == pytest.approx(-0.0021 % 0.0171, abs=5e-5)  # one ripple: but for its periods
     assert record.held_out_after < 1.1 * record.noise_floor_N
@@ -124,8 +125,8 @@ def test_a_homed_axis_has_one_origin(machine: Machine) -> None:
     other = recorded(machine, 2, [RIPPLE], origin=0.0171 / 2.0)  # the opposite phase
     found = judged(homed, [RIPPLE], [other, recorded(machine, 3, [RIPPLE])])
     assert found.causes[0].transfers is False
-    assert [record.origin_m for record in found.records] == [0.0, 0.0]
-    assert found.records[0].causes[0].gain_interval_N[1] < 0.0 < found.records[1].causes[0].gain_interval_N[0]
+    assert [record.origin_m for record in found.records] == [0.0, 0.0, 0.0]
+    assert found.records[1].causes[0].gain_interval_N[1] < 0.0 < found.records[2].causes[0].gain_interval_N[0]
     assert judged(machine, [RIPPLE], [other]).causes[0].transfers is True
 
 
@@ -133,7 +134,7 @@ def test_two_ripples_say_the_origin_beyond_a_period(machine: Machine) -> None:
     hidden = [RIPPLE, FINE_RIPPLE]
     found = judged(machine, hidden, [recorded(machine, 2, hidden, origin=0.0243)])
     assert [cause.transfers for cause in found.causes] == [True, True]
-    assert found.records[0].origin_m == pytest.approx(0.0243, abs=5e-5)
+    assert found.records[1].origin_m == pytest.approx(0.0243, abs=5e-5)
 
 
 def test_a_level_is_judged_as_it_was_found(machine: Machine) -> None:
@@ -144,7 +145,7 @@ def test_a_level_is_judged_as_it_was_found(machine: Machine) -> None:
     found = judged(machine, (), [same, other], friction={"coulomb": level})
     assert found.causes[0].transfers is False
     # As a property of the record it is fitted, and no error of either machine.
-    assert found.records[1].held_out_after < 1.1 * found.records[1].noise_floor_N
+    assert found.records[2].held_out_after < 1.1 * found.records[2].noise_floor_N
 
 
 def test_records_that_do_not_show_a_cause_say_nothing_of_it(machine: Machine) -> None:
@@ -157,19 +158,90 @@ def test_records_that_do_not_show_a_cause_say_nothing_of_it(machine: Machine) ->
 def test_a_machine_worse_than_plain_friction_is_not_recommended(machine: Machine) -> None:
     wrong = ("force_ripple", {"amplitude_N": 8.0, "pitch_m": 0.0171, "phase_rad": 0.0})
     found = judged(machine, [wrong], [recorded(machine, 2, ())])
-    (record,) = found.records
+    _, record = found.records
     assert record.held_out_after > record.plain
     (sentence,) = (limit for limit in found.limits if "not recommended" in limit)
     assert "on record 2" in sentence
     content = found.to_json()
     assert content["causes"][0]["transfers"] is False
     assert content["causes"][0]["identified"] is False
-    (entry,) = content["records"]
+    _, entry = content["records"]
     assert entry["residual_rms_N"]["held_out_after"] == record.held_out_after
     assert entry["simulation_error"]["after"] == pytest.approx(record.held_out_after / record.force)
     assert record.force > record.plain  # most of the force is inertial
     assert entry["gains"][0]["name"] == "force_ripple"
     assert entry["gains"][0]["shown"] is True
+
+
+ROUGH_RIPPLE = ("force_ripple", {"amplitude_N": 1.1, "pitch_m": 0.01711, "phase_rad": 0.35})
+ROUGH_ASYMMETRY = ("asymmetric_coulomb", {"ratio": 0.23})
+"""As one record might say."""
+
+
+def together(machine: Machine, hidden: Hidden, found: Hidden, others: Sequence[Log], **changes: Any) -> Diagnosis:
+    """Several records that hide one thing, of which the first was found to have another."""
+    first = recorded(machine, 1, hidden, scale={"coulomb": 0.8}, offset=0.4)
+    return judge_on_records(diagnosed(machine, first, found, **changes), first, others, lambda _: None)
+
+
+def test_numbers_are_those_of_all_records_together(machine: Machine) -> None:
+    hidden = [RIPPLE, ASYMMETRY]
+    others = [
+        recorded(machine, 2, hidden, scale=COLD, origin=0.0061, offset=0.3),
+        recorded(machine, 3, hidden, origin=-0.0017, offset=-0.2),
+    ]
+    found = together(machine, hidden, [ROUGH_RIPPLE, ROUGH_ASYMMETRY], others)
+    assert [cause.transfers for cause in found.causes] == [True, True]
+    for cause, (_, truth), (_, rough) in zip(found.causes, hidden, [ROUGH_RIPPLE, ROUGH_ASYMMETRY], strict=True):
+        for name, value in truth.items():
+            error = abs(cause.parameters[name] - value)
+            assert error < 0.1 * abs(rough[name] - value)
+            assert error < 3.0 * cause.std[name]
+            assert cause.std[name] < 0.1 * abs(value)
+    assert found.extended is not None and found.changes is not None
+    stated = {effect.label: dict(effect.parameters) for effect in found.extended.effects}
+    assert stated == {cause.label: pytest.approx(dict(cause.parameters)) for cause in found.causes}
+    assert found.changes["effects"][1]["ratio"] == found.causes[1].parameters["ratio"]
+    # What belongs to a record is its own.
+    level, own = machine.friction.coulomb, [record.own for record in found.records]
+    assert [o["coulomb_N"] / level for o in own] == pytest.approx([0.8, 1.3, 1.0], abs=0.02)
+    assert [o["constant_offset.force_N"] for o in own] == pytest.approx([0.4, 0.3, -0.2], abs=0.03)
+    assert found.to_json()["records"][1]["own"] == own[1]
+    # Each is predicted by the numbers of the others.
+    assert [record.name for record in found.records] == ["record 1", "record 2", "record 3"]
+    assert all(record.held_out_after < 1.2 * record.noise_floor_N for record in found.records)
+    assert [len(record.causes) for record in found.records] == [2, 2, 2]
+
+
+def test_a_cause_of_the_first_record_alone_keeps_its_numbers(machine: Machine) -> None:
+    other = recorded(machine, 2, [RIPPLE], scale=COLD, origin=0.0061)
+    found = together(machine, [RIPPLE, ASYMMETRY], [ROUGH_RIPPLE, ASYMMETRY], [other])
+    ripple, asymmetry = found.causes
+    assert (ripple.transfers, asymmetry.transfers) == (True, False)
+    assert asymmetry.parameters == ASYMMETRY[1]
+    assert ripple.parameters["amplitude_N"] == pytest.approx(
+        RIPPLE[1]["amplitude_N"], abs=3.0 * ripple.std["amplitude_N"]
+    )
+    assert [t.label for t in found.records[0].causes] == ["force_ripple"]  # by the other one there is no asymmetry
+
+
+def test_a_phase_is_surer_by_another_record_only_if_that_has_the_same_origin(machine: Machine) -> None:
+    other = recorded(machine, 2, [RIPPLE])
+    homed = override_machine(machine, {"log": {"homed": True}})
+    free, known = (together(axis, [RIPPLE], [ROUGH_RIPPLE], [other]).causes[0] for axis in (machine, homed))
+    assert known.std["phase_rad"] < 0.8 * free.std["phase_rad"]
+    assert known.std["amplitude_N"] == pytest.approx(free.std["amplitude_N"], rel=0.2)
+
+
+def test_a_level_is_the_mean_of_the_records_and_as_uncertain_as_they_differ(machine: Machine) -> None:
+    level = machine.friction.coulomb
+    others = [recorded(machine, 2, (), scale={"coulomb": 1.4}), recorded(machine, 3, (), scale={"coulomb": 1.2})]
+    first = recorded(machine, 1, (), scale={"coulomb": 1.3})
+    found = diagnosed(machine, first, (), friction={"coulomb": 1.3 * level})
+    (cause,) = judge_on_records(found, first, others, lambda _: None).causes
+    assert cause.transfers is True
+    assert cause.parameters["coulomb_N"] == pytest.approx(1.3 * level, rel=0.01)
+    assert cause.std["coulomb_N"] == pytest.approx(0.1 * level, rel=0.1)
 
 
 def test_one_log_or_several_are_sources() -> None:
@@ -193,8 +265,8 @@ def test_diagnose_takes_several_logs(machine: Machine, tmp_path: Path) -> None:
     assert f"on {second}: residual" in result.stdout
     content = json.loads((out / "diagnosis.json").read_text())
     assert [cause["transfers"] for cause in content["causes"]] == [True]
-    assert content["records"][0]["name"] == str(second)
+    assert [record["name"] for record in content["records"]] == [str(first), str(second)]
     report = (out / "report.html").read_text()
-    assert "On other records" in report
+    assert "On each record" in report
     assert "second.csv" in report
     assert "absent.csv" in refused("diagnose", machine.source, first, tmp_path / "absent.csv", "--out", out)

@@ -80,7 +80,7 @@ def command(
 ) -> None:
     """Find errors of MACHINE's simulation along LOG, name the cause, and measure the gain of its effect.
 
-    On further LOGs of the same axis causes and extended machine are judged: a cause transfers if it holds there too.
+    With further LOGs of the same axis the numbers are fitted to all: a cause transfers if it holds there too.
 
     Writes report.html with its figures, diagnosis.json and, where a cause is named, the extended machine file. The
     verdict is explained, adequate (nothing is missing), ambiguous (the record cannot distinguish causes; the report has

@@ -86,7 +86,7 @@ def measure_causes(final: FinalFit, selection: Selection, blind: Fit) -> dict[Pa
             gain_interval_N=gain_interval(without.loss[held], blind.loss[held], fit.rows[held]),
             p_value=selection.p_values.get(group, math.nan),
         )
-    return {group: replace(cause, vague=_find_vague(cause)) for group, cause in causes.items()}
+    return {group: replace(cause, vague=find_vague(cause)) for group, cause in causes.items()}
 
 
 def name_cause(fit: Fit, group: ParameterGroup) -> str:
@@ -95,8 +95,8 @@ def name_cause(fit: Fit, group: ParameterGroup) -> str:
     return f"{group.cause}_2" if again else group.name
 
 
-def _find_vague(cause: Cause) -> tuple[str, ...]:
-    """Parameters that the record does not determine: their intervals are as wide as they are, or there are none."""
+def find_vague(cause: Cause) -> tuple[str, ...]:
+    """Return the parameters that the record does not determine: intervals as wide as they are, or none."""
     found = []
     for key, value in cause.parameters.items():
         margin = SIGMAS * cause.std[key]

@@ -125,13 +125,13 @@ def list_compilations(machine: Machine, recording: Recording) -> list[Callable[[
 
 def _thinned(machine: Machine, recording: Recording, floor: float) -> list[Subject]:
     """The machine along a record, under its own law and the other one if there is one; `floor`: its noise [N]."""
-    alternative = _other_law(machine)
+    alternative = other_law(machine)
     axes = [machine] if alternative is None else [machine, alternative]
     return [decimate(replace(Subject.of(axis, recording), noise=floor)) for axis in axes]
 
 
-def _other_law(machine: Machine) -> Machine | None:
-    """The machine with the other law, if it has one; smooth elements no stiffer than they differ between two samples.
+def other_law(machine: Machine) -> Machine | None:
+    """Return the machine with the other law, if it has one; smooth elements that differ between two samples.
 
     Elements that switch may break away within any distance. As smooth ones they would take for ever below the gate.
     """

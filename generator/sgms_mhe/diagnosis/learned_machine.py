@@ -61,6 +61,16 @@ def add_learned_machine(found: Diagnosis, log: Log) -> Diagnosis:
     return replace(found, learned=replace(learned, extended=extended, changes=changes))
 
 
+def replace_base(found: Diagnosis) -> Diagnosis:
+    """Return a diagnosis whose machine with learned tables has the numbers of its extended machine."""
+    learned, base = found.learned, found.extended
+    if learned is None or learned.extended is None or base is None:
+        return found
+    share = logged_share(base)
+    extended, changes = add_tables(found.machine, base, found.changes, [term.entry(share) for term in learned.terms])
+    return replace(found, learned=replace(learned, extended=extended, changes=changes))
+
+
 def _simulate(machine: Machine, record: Recording) -> float:
     """Return the RMS of measured minus simulated friction of a machine as its file has it [N]."""
     simulated = CompiledModel(step_every_sample(machine)).predict(record.signals).friction_N

@@ -460,10 +460,10 @@ class LeastSquares:
 
     def after(self, here: ModelPoint, step: Array) -> ModelPoint:
         """Return the model after a step of what is free."""
-        return self.at(self._move(here.theta, step))
+        return self.at(self.move(here.theta, step))
 
-    def _move(self, theta: Array, step: Array) -> Array:
-        """theta (n_p) after a step of what is free (free).
+    def move(self, theta: Array, step: Array) -> Array:
+        """Return theta (n_p) after a step of what is free (free).
 
         Where the force is linear in s and s p, the step is one of s and s p: p + dp s / (s + ds). One along p alone
         would follow a curved valley to a place far outside the travel.

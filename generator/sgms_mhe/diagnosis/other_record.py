@@ -1,8 +1,8 @@
-"""Another record of an axis: the origin of its position, and the causes of the first one as it judges them."""
+"""Record of an axis: the origin of its position, and the causes of the first one as it judges them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from sgms_mhe.machine import Units
 
 @dataclass(frozen=True)
 class TransferredCause:
-    """A cause of one record on another one, its numbers as they stand.
+    """A cause of the first record on one of them, its numbers by the others.
 
     Attributes:
         label: of the cause.
@@ -77,8 +77,8 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class OtherRecord:
-    """Another record of the same axis, its offset, level, damping and origin fitted; RMS on held-out blocks [N].
+class JudgedRecord:
+    """A record of the axis by the numbers of the others, its own fitted; RMS on its held-out blocks [N].
 
     Attributes:
         name: source of its log.
@@ -88,6 +88,7 @@ class OtherRecord:
         noise_floor_N: of its measured friction.
         origin_m: to be added to its position, so that the forces over place fit; 0: nothing.
         origin: what the record says of that, its `position_m` the negative of it; None: not asked, the axis is homed.
+        own: numbers that belong to the record, by name.
         causes: those of the first record.
     """
 
@@ -99,6 +100,7 @@ class OtherRecord:
     noise_floor_N: float
     origin_m: float
     origin: Origin | None
+    own: Mapping[str, float]
     causes: tuple[TransferredCause, ...]
 
     @property
@@ -127,6 +129,7 @@ class OtherRecord:
             "simulation_error": self.errors,
             "origin_m": self.origin_m,
             "origin": None if self.origin is None else self.origin.to_json(),
+            "own": dict(self.own),
             "gains": [
                 {"name": t.label, "gain_N": t.gain_N, "gain_interval_N": list(t.gain_interval_N), "shown": t.is_shown}
                 for t in self.causes
@@ -134,12 +137,12 @@ class OtherRecord:
         }
 
 
-def list_contradictions(alone: Sequence[str], records: Sequence[OtherRecord], unit: str) -> tuple[str, ...]:
+def list_contradictions(alone: Sequence[str], records: Sequence[JudgedRecord], unit: str) -> tuple[str, ...]:
     """Return the sentences on causes, and on an extended machine, that do not hold on other records.
 
     Args:
         alone: labels of causes that do not transfer.
-        records: others that the extended machine was judged on.
+        records: others than the first.
         unit: of a force.
     """
     sentences = (

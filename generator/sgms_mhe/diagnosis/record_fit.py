@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import align
 from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, Fit, Subject
-from sgms_mhe.diagnosis.models import CompiledFit, LeastSquares, Prior
+from sgms_mhe.diagnosis.models import CompiledFit, LeastSquares, ModelPoint, Prior
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition, reported_name
 from sgms_mhe.model.effects import cause as cause_definition
+from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording, Runs
 
 Array = NDArray[np.float64]
@@ -61,7 +62,11 @@ class RecordFit:
         seen = recording.used if rows is None else rows
         none = np.zeros(int(free.sum()))
         problem = LeastSquares(self.model, recording, seen, free, Prior(none, none, none))
-        found = problem.descend(theta, ITERATIONS, FINAL_STEP)
+        return self.make_fit(problem.descend(theta, ITERATIONS, FINAL_STEP), free)
+
+    def make_fit(self, found: ModelPoint, free: Mask) -> Fit:
+        """Return the fit that ended at a point, of the numbers that were free (n_p)."""
+        recording = self.subject.recording
         loss = recording.sum_blocks(found.residual**2)
         return Fit(
             model=self.model,
@@ -83,10 +88,19 @@ class RecordFit:
         group = ParameterGroup.candidate(self.effects[index].name, index)
         return [(c, t) for c, t in zip(self.model.columns, theta.tolist(), strict=True) if c.group == group]
 
+    def name_numbers(self, fit: Fit) -> dict[str, float]:
+        """Return the free numbers of a fit by name [SI], those of an effect with its label before them."""
+        return {
+            (f"{c.group.name}.{c.name}" if c.group.kind != "base" else reported_name(c.name)): c.si(theta)
+            for c, theta, free in zip(self.model.columns, fit.theta.tolist(), fit.free.tolist(), strict=True)
+            if free
+        }
+
     def align(self) -> RecordFit:
-        """The same with its record in line with the model."""
+        """The same with its record in line with the model, and the noise that its fit leaves."""
         fit = self.fit(self.theta, self.free())
-        return replace(self, subject=align(self.subject, fit))
+        noise = noise_floor(self.subject.recording, fit.residual)
+        return replace(self, subject=replace(align(self.subject, fit), noise=noise))
 
     @property
     def seen(self) -> Mask:

@@ -15,7 +15,7 @@ from sgms_mhe.diagnosis.combinations import KnownCombination
 from sgms_mhe.diagnosis.document import make_document
 from sgms_mhe.diagnosis.extension import extension_toml
 from sgms_mhe.diagnosis.learned import Learned
-from sgms_mhe.diagnosis.other_record import OtherRecord, list_contradictions
+from sgms_mhe.diagnosis.other_record import JudgedRecord, list_contradictions
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import html_table, labelled_axes
@@ -269,7 +269,7 @@ class Diagnosis:
         is_rough: whether the file was far from the record: then the diagnosis began from the record's numbers, which
             are no causes.
         offset_s: age of the logged force that was taken out, see `in_step`.
-        records: the other records, where there are any.
+        records: all records where there are several, the first one first.
         combinations: of causes that the record does not tell apart.
         learned: part of the residual that no cause accounts for and coordinates of the motion predict.
     """
@@ -303,7 +303,7 @@ class Diagnosis:
     refuted: tuple[RefutedNumber, ...] = ()
     is_rough: bool = False
     offset_s: float = 0.0
-    records: tuple[OtherRecord, ...] = ()
+    records: tuple[JudgedRecord, ...] = ()
     combinations: tuple[KnownCombination, ...] = ()
     learned: Learned | None = None
 
@@ -382,7 +382,7 @@ class Diagnosis:
     def contradictions(self) -> tuple[str, ...]:
         """Return the sentences on what does not hold on other records."""
         alone = [cause.label for cause in self.causes if cause.transfers is False]
-        records = () if self.extended is None else self.records
+        records = () if self.extended is None else self.records[1:]
         unit = self.machine.plant.units.force
         learned = () if self.learned is None else self.learned.list_contradictions(unit)
         return (*list_contradictions(alone, records, unit), *learned)

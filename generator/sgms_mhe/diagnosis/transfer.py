@@ -1,13 +1,15 @@
-"""Causes of one record judged on other records of the same axis.
+"""Causes of one record fitted to and judged on several records of the same axis.
 
 What belongs to a record is fitted in each: a constant offset, the Coulomb level and the damping, which temperature
-changes, and, unless the axis is homed, the origin of its position. All else is the extended machine's as it stands.
+changes, and, unless the axis is homed, the origin of its position. All else that was found is common to the records.
+Each record in turn is held out of the fit of that, and what the others say is judged there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +19,16 @@ from sgms_mhe.diagnosis.beginning import plain_friction
 from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.diagnosis.final_fit import split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject
+from sgms_mhe.diagnosis.joint_fit import JointFit, Member
+from sgms_mhe.diagnosis.joint_numbers import adopt_numbers, drop_causes, find_common, theta_without
+from sgms_mhe.diagnosis.laws import other_law
 from sgms_mhe.diagnosis.learned import LearnedRecord
 from sgms_mhe.diagnosis.learned_machine import judge_learned
-from sgms_mhe.diagnosis.origin import find_reach, search_origin
-from sgms_mhe.diagnosis.other_record import OtherRecord, TransferredCause
+from sgms_mhe.diagnosis.origin import A_PERIOD, find_pitches, find_reach, search_origin
+from sgms_mhe.diagnosis.other_record import JudgedRecord, Origin, TransferredCause
 from sgms_mhe.diagnosis.record_fit import RecordFit, shift_position
 from sgms_mhe.diagnosis.result import Cause, Diagnosis
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import effect_definition, reported_name
 from sgms_mhe.recordings.evidence import gain_force, gain_interval, noise_floor
 from sgms_mhe.recordings.excerpt import make_excerpt
 from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
@@ -32,111 +36,208 @@ from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Intervals = Sequence[tuple[float, float]]
+
+ORIGIN_STEPS: Final = 16 * A_PERIOD
+"""Steps of the derivative in an origin per period of the shortest sine, or per travel where nothing repeats [1]."""
 
 
-def judge_on_records(found: Diagnosis, others: Sequence[Log], report: Callable[[str], None]) -> Diagnosis:
-    """Return a diagnosis with its causes and its extended machine judged on other records.
+def judge_on_records(
+    found: Diagnosis,
+    log: Log,
+    others: Sequence[Log],
+    report: Callable[[str], None],
+    held_out_s: Intervals | None = None,
+) -> Diagnosis:
+    """Return a diagnosis with its numbers fitted to several records, and its causes judged on each by the others.
 
     Args:
         found: of the first record.
+        log: that record.
         others: logs of the same axis.
         report: called with each record's name.
+        held_out_s: as of `diagnose`, of the first record.
 
     Raises:
         InputError: a log that does not fit the machine.
         FitError: a model that is not finite along one.
     """
-    judged = []
-    for log in others:
-        report(log.source or "another record")
-        judged.append(_judge_on(found, in_step(log, found.offset_s) if found.offset_s else log))
-    records = tuple(record for record, _ in judged)
-    learned = found.learned
-    if learned is not None:
-        learned = replace(learned, records=tuple(with_it for _, with_it in judged if with_it is not None))
-    causes = tuple(replace(cause, transfers=_transfers(cause, records)) for cause in found.causes)
+    records: list[_AxisRecord] = []
+    for one in (log, *others):
+        report(one.source or "another record")
+        aligned = in_step(one, found.offset_s) if found.offset_s else one
+        origin = _find_origin(found, aligned) if records else None  # places count from that of the first
+        records.append(_AxisRecord.along(found, aligned, origin, None if records else held_out_s))
+    judged = [
+        record.judge(found, found.causes, _follow_others(found, records, record, found.causes))
+        for record in records[1:]
+    ]
+    causes = tuple(
+        replace(cause, transfers=_transfers(cause, [record for record, _ in judged])) for cause in found.causes
+    )
     log_decision(
         "records",
-        "a cause transfers where its force, as it stands, gains on every other record that shows it",
-        records=[record.name for record in records],
+        "a cause transfers where its force, by the other records, gains on every further record that shows it",
+        records=[record.name for record, _ in judged],
         causes={cause.label: cause.transfers for cause in causes},
         gains_N={
-            cause.label: [t.gain_interval_N for r in records for t in r.causes if t.label == cause.label]
+            cause.label: [t.gain_interval_N for r, _ in judged for t in r.causes if t.label == cause.label]
             for cause in causes
         },
     )
-    return replace(found, causes=causes, records=records, learned=learned)
+    learned = found.learned
+    if learned is not None:
+        learned = replace(learned, records=tuple(with_it for _, with_it in judged if with_it is not None))
+    found = replace(found, causes=causes, learned=learned)
+    shared = tuple(cause for cause in causes if cause.transfers is not False)
+    first, _ = records[0].judge(found, shared, _follow_others(found, records, records[0], shared))
+    found = replace(found, records=(first, *(record for record, _ in judged)))
+    return found if found.extended is None else _fit_together(found, found.extended, records, shared)
 
 
-def _transfers(cause: Cause, records: Sequence[OtherRecord]) -> bool | None:
+def _transfers(cause: Cause, records: Sequence[JudgedRecord]) -> bool | None:
     """Return True if a cause holds on the other records, False if not on one; None: none of them shows it."""
     shown = [t for record in records for t in record.causes if t.label == cause.label and t.is_shown]
     return all(t.gain_interval_N[0] > 0.0 for t in shown) if shown else None
 
 
-def _judge_on(found: Diagnosis, log: Log) -> tuple[OtherRecord, LearnedRecord | None]:
-    """Judge the causes of a diagnosis, its extended machine and what it learned, on one other record."""
+@dataclass(frozen=True, eq=False)
+class _AxisRecord:
+    """A record along the extended machine of a diagnosis, counted from the origin that it tells.
+
+    Attributes:
+        name: source of its log.
+        fit: the extended machine along it, in line with that.
+        file: along the machine of the file.
+        counted_from: position that is 0 now [m].
+        origin: what the record says of that; None: not asked.
+    """
+
+    name: str
+    fit: RecordFit
+    file: Recording
+    counted_from: float
+    origin: Origin | None
+
+    @classmethod
+    def along(cls, found: Diagnosis, log: Log, origin: Origin | None, held_out_s: Intervals | None) -> _AxisRecord:
+        """Return a log along the extended machine; `held_out_s`: as of `diagnose`."""
+        counted_from = origin.candidates_m[0] if origin is not None and origin.candidates_m else 0.0
+        recording, file = (
+            shift_position(_prepare(machine, log, held_out_s), -counted_from)
+            for machine in (found.extended or found.machine, found.machine)
+        )
+        fit = RecordFit.of(Subject.of(found.extended or found.machine, recording)).align()
+        return cls(log.source or "log", fit, file, counted_from, origin)
+
+    @property
+    def recording(self) -> Recording:
+        """The record, in line with the extended machine."""
+        return self.fit.subject.recording
+
+    @property
+    def origin_step(self) -> float:
+        """Step of the derivative in its origin [m]; 0 where that is known, or the record tells nothing of it."""
+        if self.origin is None or not self.origin.candidates_m:
+            return 0.0
+        travel = float(np.ptp(self.recording.position[self.recording.used]))
+        return min(find_pitches(self.fit.subject.machine), default=travel) / ORIGIN_STEPS
+
+    def judge(
+        self, found: Diagnosis, causes: Sequence[Cause], after: RecordFit
+    ) -> tuple[JudgedRecord, LearnedRecord | None]:
+        """Judge causes, the extended machine and what was learned; `after`: the record by the others' numbers."""
+        fit, recording = after.fit(after.theta, after.free(), after.seen), after.subject.recording
+        floor, plain, with_it = noise_floor(recording, fit.residual), plain_friction(self.file), None
+        before = RecordFit.of(Subject.of(found.machine, self.file)).align()
+        if found.learned is not None:
+            with_it = judge_learned(found.learned, recording, fit, self.name, plain.held_out)
+        record = JudgedRecord(
+            name=self.name,
+            held_out_before=split_rms(before.fit(before.theta, before.free(), before.seen), self.file)[1],
+            held_out_after=split_rms(fit, recording)[1],
+            plain=plain.held_out,
+            force=plain.force,
+            noise_floor_N=floor,
+            origin_m=-self.counted_from,
+            origin=self.origin,
+            own=self.fit.name_numbers(fit),
+            causes=tuple(_judge_cause(after, fit, cause, floor, found) for cause in causes),
+        )
+        return record, with_it
+
+
+def _find_origin(found: Diagnosis, log: Log) -> Origin | None:
+    """Return what another record tells of its origin; None where the axis is homed."""
     extended = found.extended or found.machine
-    recording, origin, counted_from = _record(extended, log), None, 0.0
-    if extended.log is None or not extended.log.homed:
-        known, own = found.traces.position_m[found.traces.used], recording.position[recording.used]
-        least, most = float(own.min() - known.max()), float(own.max() - known.min())
-        middle, reach = 0.5 * (least + most), 0.5 * min(most - least, find_reach(extended))
-        origin = search_origin(extended, log, middle - reach, middle + reach)
-        log_decision("records", "origin of a record's position", record=log.source, **origin.to_json())
-        counted_from = origin.candidates_m[0] if origin.candidates_m else 0.0
-    recording = shift_position(recording, -counted_from)
-    after = RecordFit.of(Subject.of(extended, recording)).align()
-    fit = after.fit(after.theta, after.free(), after.seen)
-    floor = noise_floor(after.subject.recording, fit.residual)
-    plain = plain_friction(recording)
-    file = shift_position(_record(found.machine, log), -counted_from)
-    before = RecordFit.of(Subject.of(found.machine, file)).align()
-    name = log.source or "log"
-    with_it = None
-    if found.learned is not None:
-        with_it = judge_learned(found.learned, after.subject.recording, fit, name, plain.held_out)
-    record = OtherRecord(
-        name=name,
-        held_out_before=split_rms(before.fit(before.theta, before.free(), before.seen), file)[1],
-        held_out_after=split_rms(fit, recording)[1],
-        plain=plain.held_out,
-        force=plain.force,
-        noise_floor_N=floor,
-        origin_m=-counted_from,
-        origin=origin,
-        causes=tuple(_judge_cause(after, fit, cause, floor, found) for cause in found.causes),
-    )
-    return record, with_it
+    if extended.log is not None and extended.log.homed:
+        return None
+    recording = _prepare(extended, log)
+    known, own = found.traces.position_m[found.traces.used], recording.position[recording.used]
+    least, most = float(own.min() - known.max()), float(own.max() - known.min())
+    middle, reach = 0.5 * (least + most), 0.5 * min(most - least, find_reach(extended))
+    origin = search_origin(extended, log, middle - reach, middle + reach)
+    log_decision("records", "origin of a record's position", record=log.source, **origin.to_json())
+    return origin
 
 
-def _record(machine: Machine, log: Log) -> Recording:
+def _prepare(machine: Machine, log: Log, held_out_s: Intervals | None = None) -> Recording:
     """Return a log along a machine, of a long one the segments that models are fitted to."""
-    return make_excerpt(add_encoder(prepare(machine, log), log))
+    return make_excerpt(add_encoder(prepare(machine, log, held_out_s), log))
 
 
-def _theta_without(after: RecordFit, cause: Cause) -> Array:
-    """Return the numbers (n_p) of a machine without one of its causes: the file's, or of an effect sizes of none."""
-    theta = after.theta.copy()
-    for i, column in enumerate(after.model.columns):
-        group = column.group
-        if group.is_candidate or (group.label or group.cause) != cause.label:
-            continue
-        reported = reported_name(column.name) if group.kind == "base" else column.name
-        if cause.nominal:
-            theta[i] = column.theta(cause.nominal[reported])
-        elif effect_definition(group.cause).parameter(column.name).is_size:
-            theta[i] = column.theta(column.none)
-    return theta
+def _follow_others(
+    found: Diagnosis, records: Sequence[_AxisRecord], held_out: _AxisRecord, causes: Sequence[Cause]
+) -> RecordFit:
+    """Return a record with the numbers of the extended machine by all others, its position counted as they say.
+
+    By the first alone they are those of its own diagnosis. Without causes that are not among those given.
+    """
+    others, fit = [record for record in records if record is not held_out], held_out.fit
+    if others == [records[0]]:
+        return fit
+    members = [
+        Member(drop_causes(record.fit, found.causes, causes), record.origin_step if i else 0.0)
+        for i, record in enumerate(others)
+    ]
+    common, own = find_common(found, fit, causes), fit.free()
+    joint = JointFit(tuple(members), common, own)
+    fit = replace(fit, theta=joint.numbers(joint.descend()))
+    step = max(record.origin_step for record in records)
+    origin = float(JointFit((Member(fit, step),), np.zeros_like(common), own).descend().origins[0])
+    recording = shift_position(fit.subject.recording, -origin)
+    return replace(fit, subject=replace(fit.subject, recording=recording))
+
+
+def _fit_together(
+    found: Diagnosis, extended: Machine, records: Sequence[_AxisRecord], shared: Sequence[Cause]
+) -> Diagnosis:
+    """Return a diagnosis with the numbers of all of its records; a cause of the first one alone stays that."""
+    first, own = records[0].fit, records[0].fit.free()
+    members = [Member(first)]
+    members += [Member(drop_causes(record.fit, found.causes, shared), record.origin_step) for record in records[1:]]
+    joint = JointFit(tuple(members), find_common(found, first, shared), own)
+    at = joint.descend()
+    alternative = other_law(extended)
+    others = [None if alternative is None else Subject.of(alternative, record.recording) for record in records]
+    covariance = joint.errors(at, others)
+    log_decision(
+        "records",
+        "numbers of all records together",
+        common=int(joint.common.sum()),
+        of_each_record=int(own.sum()),
+        residual_N=[fit.rms for fit in joint.fits(at)],
+        origins_m=at.origins.tolist(),
+    )
+    return adopt_numbers(found, extended, first, joint.free, joint.numbers(at), covariance, shared)
 
 
 def _judge_cause(after: RecordFit, fit: Fit, cause: Cause, floor: float, found: Diagnosis) -> TransferredCause:
-    """Return the gain of one cause on the held-out blocks of another record, its numbers as they stand."""
+    """Return the gain of one cause on the held-out blocks of a record, by the numbers of the others."""
     recording, held = after.subject.recording, after.subject.recording.held_out
     free = after.free(cause.name)
     with_cause = fit if np.array_equal(free, fit.free) else after.fit(after.theta, free, after.seen)
-    without = after.fit(_theta_without(after, cause), free, after.seen)
+    without = after.fit(theta_without(after, cause), free, after.seen)
     force = recording.rms(with_cause.residual - without.residual)
     gain = gain_interval(without.loss[held], with_cause.loss[held], fit.rows[held])
     return TransferredCause(

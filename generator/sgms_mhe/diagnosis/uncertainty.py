@@ -8,7 +8,7 @@ then leaves less on any record, also on one that it was not fitted to: a cause e
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Final
 
@@ -110,6 +110,44 @@ def _white_noise(recording: Recording) -> Array:
     return np.asarray(size[:, None] * noise)
 
 
+@dataclass(frozen=True, eq=False)
+class NumberErrors:
+    """Errors of the free numbers of a fit (free).
+
+    Attributes:
+        information: joint one of the used rows and priors (free, free).
+        noise: covariance by noise, and by what the model gets wrong here or there (free, free).
+        shifts: changes that the same error makes in every record (k, free): by the law, by the encoder's noise, by its
+            steps.
+        timing: deviation of numbers that are a time between force and position (free).
+    """
+
+    information: Array
+    noise: Array
+    shifts: Array
+    timing: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Return the covariance of all of them (free, free)."""
+        return np.asarray(self.noise + self.shifts.T @ self.shifts + np.diag(self.timing**2))
+
+
+def find_errors(subject: Subject, fit: Fit, other: Subject | None = None) -> NumberErrors:
+    """Return the errors of the free numbers of a fit; see `covariance`."""
+    recording = subject.recording
+    X, H = _inform(subject, fit)
+    inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
+    wrong = math.sqrt(max(0.0, fit.cross_rms**2 - (FLOOR_SURE * subject.noise) ** 2))
+    inner = robust_covariance(recording, X, fit.residual, H, inverse, max(wrong, UNSEEN_ERROR * subject.noise))
+    shifts = (
+        _law(subject, fit, other, inverse, wrong),
+        _noise(subject, fit, inverse),
+        _shift_by_steps(subject, X, inverse),
+    )
+    return NumberErrors(H, inner, np.array(shifts), _timing(subject, fit)[fit.free])
+
+
 def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Array:
     """Covariance of theta (n_p, n_p), 0 where not free.
 
@@ -123,18 +161,8 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
         fit: (n_p).
         other: the same axis with the other transition from sticking to slipping; None: it has none.
     """
-    recording = subject.recording
-    X, H = _inform(subject, fit)
-    inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
-    wrong = math.sqrt(max(0.0, fit.cross_rms**2 - (FLOOR_SURE * subject.noise) ** 2))
-    inner = robust_covariance(recording, X, fit.residual, H, inverse, max(wrong, UNSEEN_ERROR * subject.noise))
-    change = _law(subject, fit, other, inverse, wrong)
-    inner += np.outer(change, change)
-    for shift in (_noise(subject, fit, inverse), _shift_by_steps(subject, X, inverse)):
-        inner += np.outer(shift, shift)
-    inner += np.diag(_timing(subject, fit)[fit.free] ** 2)
     result = np.zeros((len(fit.theta), len(fit.theta)))
-    result[np.ix_(fit.free, fit.free)] = inner
+    result[np.ix_(fit.free, fit.free)] = find_errors(subject, fit, other).covariance
     return result
 
 
@@ -201,11 +229,11 @@ def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
     acceleration's power. No average over blocks sees that either. As much noise once more says how much.
     """
     recording = subject.choose_rate(fit.effects).recording
-    _, jacobian = fit.model.run(add_noise(recording), fit.theta)
-    if jacobian is None or not np.all(np.isfinite(jacobian)):
+    (_, jacobian), (_, own) = (fit.model.run(record, fit.theta) for record in (add_noise(recording), recording))
+    if jacobian is None or own is None or not np.all(np.isfinite(jacobian)):
         return np.zeros(len(inverse))
     told = recording.used & _is_smooth(subject, fit, fit.jacobian) & _is_smooth(subject, fit, jacobian)
-    apart = (jacobian - fit.jacobian)[told][:, fit.free]
+    apart = (jacobian - own)[told][:, fit.free]
     return np.asarray(inverse @ (apart.T @ noise_residual(recording, fit, fit.theta)[told]))
 
 

@@ -89,7 +89,7 @@ def diagnose(
     Args:
         machine: the axis as it is believed to be.
         log: what was measured.
-        others: further records of this axis, on which the causes and the extended machine are judged.
+        others: further records of this axis: the numbers are fitted to all, the causes judged on each.
         progress: called with each step and the share of the work before it.
         held_out_s: intervals since the log's start [s] that no fit behind a reported gain may see; None: a third of the
             record, in blocks.
@@ -109,7 +109,7 @@ def diagnose(
             )
         found = _diagnose_begun(file, begun, log, held_out_s, told)
         found = add_learned_machine(found, log)
-        found = judge_on_records(found, others, told.report_record) if others else found
+        found = judge_on_records(found, log, others, told.report_record, held_out_s) if others else found
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     return replace(found, seconds=time.monotonic() - started)

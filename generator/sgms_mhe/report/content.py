@@ -148,7 +148,7 @@ def _refuted_rows(d: Diagnosis) -> list[dict[str, str]]:
 
 
 def _record_rows(d: Diagnosis) -> list[dict[str, str]]:
-    """Return a row per other record; no row where there is none."""
+    """Return a row per record; no row where there is one alone."""
     return [
         {
             "name": record.name,

@@ -1,0 +1,157 @@
+"""Numbers of an extended machine that several records determine together, and the diagnosis that states them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.beginning import refute_by_causes
+from sgms_mhe.diagnosis.causes import find_vague
+from sgms_mhe.diagnosis.extension import extend_machine
+from sgms_mhe.diagnosis.fits import report_name
+from sgms_mhe.diagnosis.learned_machine import replace_base
+from sgms_mhe.diagnosis.numbers import friction_changes
+from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup
+from sgms_mhe.diagnosis.record_fit import RecordFit
+from sgms_mhe.diagnosis.result import Cause, Diagnosis
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import base_number, effect_definition
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def find_common(found: Diagnosis, fit: RecordFit, causes: Sequence[Cause]) -> Mask:
+    """Return the numbers (n_p) that the records have in common: those that a diagnosis changed, but for other causes.
+
+    What belongs to a record is not among them.
+    """
+    labels, named = {cause.label for cause in causes}, {cause.label for cause in found.causes}
+    own = fit.free()
+    return np.array(
+        [
+            not alone
+            and not column.frozen
+            and not column.group.is_candidate
+            and (column.group.name not in named or column.group.name in labels)
+            and _is_changed(found.machine, column)
+            for column, alone in zip(fit.model.columns, own.tolist(), strict=True)
+        ],
+        dtype=np.bool_,
+    )
+
+
+def _is_changed(file: Machine, column: JacobianColumn) -> bool:
+    """Return True if a number of an extended machine is not that of the file."""
+    value = column.si(column.machine_theta)
+    if column.group.kind == "own":
+        effects = {effect.label: effect_definition(effect.name).entries(effect.parameters) for effect in file.effects}
+        stated = effects.get(column.group.label, {}).get(column.name, math.nan)
+    else:
+        number = base_number(column.name)
+        stated = getattr(file.friction, column.name if number is None or not number.array else number.name)
+        if number is not None and number.array:
+            place = number.element(column.name)
+            stated = stated[place] if place < len(stated) else math.nan
+    return not math.isclose(value, stated, rel_tol=1e-12)
+
+
+def theta_without(fit: RecordFit, cause: Cause) -> Array:
+    """Return the numbers (n_p) of a machine without one of its causes: the file's, or of an effect sizes of none."""
+    theta = fit.theta.copy()
+    for i, column in enumerate(fit.model.columns):
+        group = column.group
+        if group.is_candidate or group.name != cause.label:
+            continue
+        if cause.nominal:
+            theta[i] = column.theta(cause.nominal[report_name(group, column.name)])
+        elif effect_definition(group.cause).parameter(column.name).is_size:
+            theta[i] = column.theta(column.none)
+    return theta
+
+
+def drop_causes(fit: RecordFit, causes: Sequence[Cause], kept: Sequence[Cause]) -> RecordFit:
+    """Return a machine along a record without those of its causes that are not kept."""
+    labels = {cause.label for cause in kept}
+    for cause in causes:
+        if cause.label not in labels:
+            fit = replace(fit, theta=theta_without(fit, cause))
+    return fit
+
+
+def adopt_numbers(
+    found: Diagnosis,
+    extended: Machine,
+    fit: RecordFit,
+    free: Mask,
+    theta: Array,
+    covariance: Array,
+    causes: Sequence[Cause],
+) -> Diagnosis:
+    """Return a diagnosis with the numbers of several records in its causes and in its extended machine.
+
+    Args:
+        found: of the first record.
+        extended: its extended machine.
+        fit: that along the first record.
+        free: numbers (n_p) that were fitted.
+        theta: the numbers (n_p).
+        covariance: of them (n_p, n_p).
+        causes: that the records have in common.
+    """
+    kept = {cause.label for cause in found.causes} - {cause.label for cause in causes}
+    values: dict[ParameterGroup, dict[str, float]] = {}
+    deviations: dict[ParameterGroup, dict[str, float]] = {}
+    for i, column in enumerate(fit.model.columns):
+        if column.group.is_candidate or column.group.name in kept:
+            continue
+        if free[i] and _is_changed(found.machine, column):
+            values.setdefault(column.group, {})[column.name] = column.si(float(theta[i]))
+            std = math.sqrt(max(0.0, float(covariance[i, i]))) * abs(column.scale)
+            deviations.setdefault(column.group, {})[column.name] = std
+    friction = dict((found.changes or {}).get("friction", {}))
+    friction |= friction_changes(
+        extended, {key: v for group, own in values.items() if group.kind == "base" for key, v in own.items()}
+    )
+    effects: list[dict[str, Any]] = []
+    for effect in extended.effects:
+        definition = effect_definition(effect.name)
+        own = values.get(ParameterGroup.own(effect.name, effect.label), {})
+        known = {**definition.entries(effect.parameters), **own}
+        effects.append({"name": effect.name, **(definition.tidy(known) if own else effect.parameters)})
+    has_effects = "effects" in (found.changes or {}) or bool(effects)
+    machine, changes = extend_machine(
+        found.machine,
+        [cause.label for cause in found.causes],
+        friction,
+        effects if has_effects else None,
+        extended.plant.moved,
+    )
+    stated = tuple(_state(cause, values, deviations) for cause in found.causes)
+    result = replace(found, causes=stated, extended=machine, changes=changes)
+    if not result.is_rough:
+        result = replace(result, refuted=refute_by_causes(stated))
+    return replace_base(result)
+
+
+def _state(
+    cause: Cause,
+    values: Mapping[ParameterGroup, Mapping[str, float]],
+    deviations: Mapping[ParameterGroup, Mapping[str, float]],
+) -> Cause:
+    """Return a cause with the numbers of its group, where that has any."""
+    group = next((group for group in values if group.name == cause.label), None)
+    if group is None:
+        return cause
+    numbers = {report_name(group, name): value for name, value in values[group].items()}
+    stds = {report_name(group, name): value for name, value in deviations[group].items()}
+    parameters = {**cause.parameters, **numbers}
+    if not cause.nominal:
+        parameters = effect_definition(cause.name).tidy(parameters)
+    changed = replace(cause, parameters=parameters, std={**cause.std, **stds})
+    return replace(changed, vague=find_vague(changed))
