@@ -16,6 +16,7 @@ from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, pla
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import _thinned
 from sgms_mhe.diagnosis.result import RefutedNumber
+from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
 from sgms_mhe.identification.elements import Stribeck, least_distance
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
@@ -183,3 +184,14 @@ def test_other_law_of_elements_that_switch_costs_no_more_than_a_sample_tells() -
     assert distances[0] == pytest.approx(least_distance("sgms", Stribeck(5.0, 1.7), 1000.0))
     written = override_machine(file, {"friction": law_changes(file, other.machine)})
     assert written.friction == found, "the extended machine has not the elements that were fitted"
+
+
+def test_the_file_is_no_scale_of_a_number_that_the_record_does_not_show() -> None:
+    machine = override_machine(load_machine("etel_xy"), {"friction": {"law": "switching"}})
+    log = simulate_axis(machine, make_trajectory("mixed", machine.sampling.rate, duration_s=4.0), truth=False).log
+    stiff = 1e4 * machine.friction.stiffness[0]  # slides at once, whatever it is
+    subject = Subject.of(machine, prepare(machine, log)).start_from({"stiffness_1": stiff})
+    fit = fit_model(subject, ())
+    (number,) = (i for i, column in enumerate(fit.model.columns) if column.name == "stiffness_1")
+    assert fit.model.columns[number].si(fit.theta[number]) == pytest.approx(stiff, rel=0.1)
+    assert standard_deviations(covariance(subject, fit), fit)[number] > 0.5 * stiff

@@ -169,7 +169,10 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
 def _inform(subject: Subject, fit: Fit) -> tuple[Array, Array]:
     """Return the derivatives of a fit in its free numbers (m, free), and the joint information (free, free)."""
     X = np.where(_is_smooth(subject, fit, fit.jacobian)[:, None], fit.jacobian[:, fit.free], 0.0)
-    prior = np.diag(prior_information(subject, fit.model, fit.free))
+    # Of a number far beyond the file's, the file's is no scale: what the record does not show, nothing does.
+    own = np.array([not c.group.is_candidate for c in fit.model.columns])
+    sizes = np.where(own, np.maximum(1.0, np.abs(fit.theta)), 1.0)[fit.free]
+    prior = np.diag(prior_information(subject, fit.model, fit.free) / sizes**2)
     return X, X[subject.recording.used].T @ X[subject.recording.used] + prior
 
 
