@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from sgms_bench.measured.__main__ import main
 from sgms_bench.measured.running import MeasuredOutcome, MeasuredTally, pair_numbers, run_table
 from sgms_bench.measured.table import read_table
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.evaluation.prediction import ForceError
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -144,3 +146,18 @@ def test_a_table_that_cannot_be_meant_is_refused(
 def test_a_folder_without_a_table_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(tmp_path)]) == 2
     assert "measured.toml" in capsys.readouterr().err
+
+
+def test_harmonics_of_halves_are_compared_by_their_order() -> None:
+    one = explained(load_machine("etel_xy"))
+    (ripple,) = one.causes
+
+    def with_map(orders: Mapping[int, float]) -> Diagnosis:
+        values = {f"order_{k}": float(order) for k, order in enumerate(orders, start=1)}
+        values |= {f"sine_{k}_N": size for k, size in enumerate(orders.values(), start=1)}
+        std = {name: math.nan if name.startswith("order") else 0.01 for name in values}
+        cause = replace(ripple, name="position_map", label="position_map", parameters=values, std=std)
+        return replace(one, causes=(cause,), base=())
+
+    pairs = pair_numbers(with_map({1: 0.3, 7: 0.5}), with_map({7: 0.49, 12: 0.1}))
+    assert [pair[::2] for pair in pairs] == [(0.5, 0.49)]

@@ -259,8 +259,16 @@ def _numbers(found: Diagnosis) -> dict[tuple[str, str], tuple[float, float]]:
             continue
         for name, value in cause.parameters.items():
             if name not in cause.vague:
-                known[cause.name, name] = value, cause.std[name]
+                known[cause.name, _name_harmonic(name, cause.parameters)] = value, cause.std[name]
     return {key: (value, std) for key, (value, std) in known.items() if math.isfinite(std) and std > 0.0}
+
+
+def _name_harmonic(name: str, parameters: Mapping[str, float]) -> str:
+    """Return the name of a number with the order of its harmonic: which comes first in a map differs by the record."""
+    part, _, rest = name.partition("_")
+    place, _, unit = rest.partition("_")
+    order = parameters.get(f"order_{place}")
+    return name if order is None or part == "order" else f"{part}_{unit} of order {order:g}"
 
 
 @dataclass
