@@ -334,8 +334,10 @@ def restore_undetermined(final: FinalFit, found: Confirmed) -> Confirmed:
     """The same causes with numbers at the machine file's that the record does not determine, where that costs nothing.
 
     A refit moves all numbers of a cause together. One of an element that hardly shows may end anywhere, and would stand
-    in the extended machine as if it were known.
+    in the extended machine as if it were known. Where the machine's numbers are the record's own there is no file's.
     """
+    if final.subject.is_open:
+        return found
     selection = found.selection
     fit = selection.fit
     deviations = standard_deviations(covariance(final.subject, fit, final.other), fit)
