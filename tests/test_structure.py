@@ -139,6 +139,7 @@ OF_EFFECTS = ("diagnosis", "report")
 
 SPECIMENS = (  # machine files and axes, which have effects by name
     BENCH / "verification" / "specimens.py",
+    BENCH / "studies" / "coarse.py",
     BENCH / "studies" / "lasting_errors.py",
 )
 

@@ -5,7 +5,7 @@
 `readings` asks what more friction measurements per second gain, `relinearise` what it costs to keep linearisations,
 `faults` puts broken sensors into good logs, `lasting` gives the axis what its machine file has not, `tracking` feeds
 friction forward on such an axis, `speed` asks what fast moves cost the integrators, `identify` draws axes and
-identifies each from its log alone.
+identifies each from its log alone, `coarse` the same behind coarse encoders, with gravity, on short moves.
 `others` takes joints of MuJoCo and of better-actuator-models as axes: identified, diagnosed, compensated.
 `scaling` says what a task costs in 1 to 8 processes. All numbers are seeded; the same command prints the same table,
 wherever it runs, but for times.
@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from sgms_bench.studies.coarse import coarse_study
 from sgms_bench.studies.coverage import coverage_study
 from sgms_bench.studies.creep import creep_study
 from sgms_bench.studies.faults import faults_study
@@ -51,6 +52,7 @@ STUDIES: Final[Mapping[str, tuple[Study, int, int]]] = {
     "lasting": (lambda runs, updates, place: lasting_study(runs, updates / 100.0, place), 20, 2000),
     "tracking": (lambda runs, updates, place: tracking_study(updates / 100.0, place), 1, 600),
     "identify": (lambda runs, updates, place: identification_study(runs, updates / 100.0, place=place), 40, 2500),
+    "coarse": (lambda runs, updates, place: coarse_study(runs, updates / 100.0, place=place), 100, 1200),
     "others": (lambda runs, updates, place: others_study(runs, updates / 100.0, place), len(AXES), 3000),
     "speed": (lambda runs, updates, place: speed_study(updates), 1, 150),
     "scaling": (lambda runs, updates, place: scaling_study(runs), 8, 1000),

@@ -50,10 +50,10 @@ def draw_axis(seed: int, seconds: float = 25.0) -> StudyAxis:
     """An axis of 1 to 6 elements, either law, 0.1 to 500 kg, 500 Hz to 10 kHz, and what it logs of a test."""
     random = np.random.default_rng([12, seed])
     rate = float(random.choice(RATES))
-    mass = _between(random, 0.1, 500.0)
-    coulomb = mass * GRAVITY * _between(random, 0.005, 0.1)
-    fastest = _between(random, 0.05, 1.0)
-    distances = _distances(random, int(random.integers(1, 7)))
+    mass = between(random, 0.1, 500.0)
+    coulomb = mass * GRAVITY * between(random, 0.005, 0.1)
+    fastest = between(random, 0.05, 1.0)
+    distances = nested_distances(random, int(random.integers(1, 7)), 1e-6, 1e-3)
     shares = random.dirichlet(np.full(len(distances), 4.0)) * 0.8 + 0.2 / len(distances)
     law: Law = "sgms" if random.random() < 0.5 else "switching"
     rises = random.random() < 0.6
@@ -62,9 +62,9 @@ def draw_axis(seed: int, seconds: float = 25.0) -> StudyAxis:
         "stiffness": (shares * coulomb / distances).tolist(),
         "fraction": (shares / shares.sum()).tolist(),
         "coulomb": coulomb,
-        "viscous": coulomb / fastest * _between(random, 0.2, 2.0),
+        "viscous": coulomb / fastest * between(random, 0.2, 2.0),
         "stribeck_ratio": float(random.uniform(0.1, 0.5)) if rises else 0.0,
-        "stribeck_velocity": _between(random, 5e-4, 5e-3),
+        "stribeck_velocity": between(random, 5e-4, 5e-3),
     }
     sampling: dict[str, Any] = {
         "rate": rate,
@@ -77,20 +77,21 @@ def draw_axis(seed: int, seconds: float = 25.0) -> StudyAxis:
     content = {"name": "truth", "plant": {"mass": mass}, "friction": friction, "sampling": sampling}
     machine = make_machine(content, Path("truth.toml"))
     motion = _motion(random, rate, distances, fastest, seconds)
-    noise = coulomb * _between(random, 0.005, 0.05)
+    noise = coulomb * between(random, 0.005, 0.05)
     config = AxisConfig(encoder_resolution_m=1e-9, force_noise_N=noise, seed=seed)
     log = simulate_axis(machine, motion, config, truth=False).log
     return StudyAxis(machine, log, bool(random.random() < 0.5))
 
 
-def _between(random: Generator, low: float, high: float) -> float:
+def between(random: Generator, low: float, high: float) -> float:
+    """Draw a number whose logarithm is uniform."""
     return float(np.exp(random.uniform(math.log(low), math.log(high))))
 
 
-def _distances(random: Generator, count: int) -> Array:
-    """Break-away distances from 1 um to 1 mm, neighbours at least a factor of 2.5 apart."""
+def nested_distances(random: Generator, count: int, low: float, high: float) -> Array:
+    """Draw break-away distances [m] between two, neighbours at least a factor of 2.5 apart."""
     while True:
-        found = np.sort([_between(random, 1e-6, 1e-3) for _ in range(count)])
+        found = np.sort([between(random, low, high) for _ in range(count)])
         if np.all(found[1:] >= 2.5 * found[:-1]):
             return np.asarray(found)
 

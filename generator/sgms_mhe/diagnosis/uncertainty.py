@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 from sgms_mhe.diagnosis.fits import Fit, Subject, prior_information
 from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.recordings.encoder import encoder_noise
 from sgms_mhe.recordings.evidence import TINY, UNSEEN_ERROR, robust_covariance
-from sgms_mhe.recordings.recording import Recording, Runs, filter_position
-from sgms_mhe.signals.noise import noise_course, position_noise
+from sgms_mhe.recordings.recording import Recording, Runs
 from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 NOISY_CACHED: Final = 2  # records with more noise: that of the rows' rate, and the full one
-SEED: Final = 20241125
-"""Of the noise: the same log gives the same verdict."""
 NOISE_SHARE: Final = 0.5
 """Answer to the encoder's noise from which on an effect explains that noise and is none [gain of the effect]: a mass
 that is shaken by noise takes noise out of the force."""
@@ -75,17 +73,9 @@ def inertial_noise(recording: Recording) -> Array:
 
 @lru_cache(maxsize=NOISY_CACHED)
 def add_noise(recording: Recording) -> Recording:
-    """The record with as much noise of its encoder once more, sent through the chain.
-
-    How much there is, the acceleration tells where it comes from the position: a velocity or an acceleration that a log
-    brings has noise of its own, which moves no element. Where an encoder's steps show and make more, theirs: none at
-    rest, and a slow saw where few of them pass.
-    """
+    """The record with as much noise of its encoder once more, sent through the chain."""
     signals = recording.signals
-    noise = _white_noise(recording)
-    counting = recording.noise
-    if counting is not None and float(np.mean(counting[:, 2] ** 2)) > float(np.mean(noise[:, 2] ** 2)):
-        noise = counting
+    noise = encoder_noise(recording)
     noisy = replace(
         signals,
         position=signals.position + noise[:, 0],
@@ -93,21 +83,6 @@ def add_noise(recording: Recording) -> Recording:
         acceleration=signals.acceleration + noise[:, 2],
     )
     return replace(recording, signals=noisy, runs=Runs())
-
-
-def _white_noise(recording: Recording) -> Array:
-    """Noise of position, velocity and acceleration (n, 3), of a position's white one."""
-    signals = recording.signals
-    white = np.random.default_rng(SEED).standard_normal(len(signals))
-    if signals.delay == 0.0:  # a log that brings its speeds and friction goes past the chain
-        return np.column_stack((noise_course(signals.position) * white, np.zeros((len(white), 2))))
-    noise = filter_position(recording.machine, white)
-    told, of_noise = signals.acceleration, noise[:, 2]
-    if recording.has_own_speeds:  # the same behind the chain, to rounding
-        told, of_noise = (np.diff(x, n=2, prepend=(x[0], x[0])) for x in (signals.position, noise[:, 0]))
-    unit = position_noise(of_noise)
-    size = noise_course(told) / unit if unit > 0.0 else np.zeros(len(white))
-    return np.asarray(size[:, None] * noise)
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,6 +153,8 @@ def make_final_fit(
         terms = tuple(term for term in fit.terms if term.name not in dropped)
         fit = drop_empty(views.fine, fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS))
         cov = covariance(views.fine, fit)
+    if not found.decided:
+        cov = cov + _law_covariance(views.fine, fit)
     if noise_share(views.fine, fit) > MASS_NOISE:
         mass = None
     numbers = quantities(fit, cov)
@@ -164,6 +166,21 @@ def make_final_fit(
     held_out_rms = float(np.sqrt(np.mean(judge.residual[held_out] ** 2)))
     rivals = {name: others for name, others in rivals.items() if fit.place(name).stop}
     return FinalIdentification(fit, cov, numbers, mass, held_out_rms, views.fine, rivals)
+
+
+def _law_covariance(view: RecordView, fit: AxisFit) -> Array:
+    """Return the square of what the other law makes of the numbers, where the records do not tell the laws apart."""
+    law: Law = "sgms" if fit.shape.law == "switching" else "switching"
+    other = fit_axis(view, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS)
+    change = _coordinates(other) - _coordinates(fit)
+    return np.outer(change, change)
+
+
+def _coordinates(fit: AxisFit) -> Array:
+    """Return the numbers of a fit in the order of its covariance (p)."""
+    rise = fit.shape.rise
+    bent = () if rise is None else (rise.ratio, math.log(rise.velocity))
+    return np.concatenate((np.log(fit.shape.distances), fit.levels, bent, fit.coefficients))
 
 
 def _fit_finely(views: Views, fit: AxisFit, law: Law) -> AxisFit:

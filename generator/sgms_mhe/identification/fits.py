@@ -63,12 +63,17 @@ class RecordView:
         motions: of each log.
         noise: of a row [N].
         limits: smallest and largest break-away distance [m].
+        steps_inertia: see `Records`; None: no steps of an encoder show.
+        misread, thinned: see `Records`.
     """
 
     rows: Recording
     motions: tuple[ElementMotion, ...]
     noise: float
     limits: tuple[float, float]
+    steps_inertia: Array | None = None
+    misread: tuple[tuple[ElementMotion, ...], ...] = ()
+    thinned: tuple[tuple[ElementMotion, ...], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,7 +356,9 @@ def covariance(view: RecordView, fit: AxisFit) -> Array:
     """Covariance (p, p) of log D (k), levels (k), beta and log v_s where there is a rise, and the coefficients.
 
     Noise and what the model gets wrong (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR of that,
-    which it may hide. 0 where a level or a coefficient is held at 0.
+    which it may hide. And what the encoder's steps and the samples' distance make of the numbers: the elements' way
+    between them comes out too smooth at every reversal alike, which no average over blocks sees; other lines, and every
+    second sample, do as much once more. 0 where a level or a coefficient is held at 0.
     """
     rows = view.rows
     interior = np.any(fit.jacobian != 0.0, axis=0)
@@ -366,8 +373,34 @@ def covariance(view: RecordView, fit: AxisFit) -> Array:
     wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
     result = np.zeros((len(interior), len(interior)))
     inner = robust_covariance(rows, X, fit.residual, H, inverse, wrong)
+    for forces in (encoder_forces(view, fit), [friction_change(view, fit, motions) for motions in view.thinned]):
+        for force in forces:
+            shift = inverse @ (X[rows.used].T @ force[rows.used])
+            inner += np.outer(shift, shift) / len(forces)
     result[np.ix_(interior, interior)] = inner / np.outer(scale, scale)
     return result
+
+
+def encoder_forces(view: RecordView, fit: AxisFit) -> list[Array]:
+    """Return the forces that the encoder's steps leave in a residual (m) [N], of each misread way; none: no steps.
+
+    As of a diagnosis: mass times the acceleration that they make, and friction along the trajectory that they make.
+    """
+    if view.steps_inertia is None:
+        return []
+    return [np.asarray(view.steps_inertia - friction_change(view, fit, motions)) for motions in view.misread]
+
+
+def friction_change(view: RecordView, fit: AxisFit, motions: Sequence[ElementMotion]) -> Array:
+    """Return the friction of a fit along other ways of all logs, less that along their own (m) [N]."""
+    shape, viscous = fit.shape, float(fit.coefficient("viscous").sum())
+    runs = run_elements(motions, shape.law, shape.distances, shape.rise or NO_RISE, jacobian=False)
+    faster = [
+        other.to_rows(other.velocity) - own.to_rows(own.velocity)
+        for other, own in zip(motions, view.motions, strict=True)
+    ]
+    change = sum((level * run.chi for level, run in zip(fit.levels, runs, strict=True)), -fit.elements @ fit.levels)
+    return np.asarray(change + viscous * np.concatenate(faster))
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,8 @@ from sgms_mhe.identification.description import (
     mass_number,
     unknown_mass,
 )
-from sgms_mhe.identification.elements import NO_RISE, run_elements
 from sgms_mhe.identification.final_fit import FinalIdentification, Known, make_final_fit
-from sgms_mhe.identification.fits import AxisFit, RecordView
+from sgms_mhe.identification.fits import RecordView, encoder_forces
 from sgms_mhe.identification.records import Records, drop_start, filter_motion, make_records, sort_logs
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, replace_filter, rough_mass, unknown_axis
@@ -181,7 +180,8 @@ def _explore_records(records: Records, wanted: Wanted, known: Known, report: Pro
     level = _level_terms(rows, base, spectrum)
     noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
     limits = float(grid[0]), float(grid[-1])
-    views = Views(RecordView(rows, records.coarse, noise, limits), RecordView(rows, records.fine, noise, limits))
+    fine = RecordView(rows, records.fine, noise, limits, records.steps_inertia, records.misread, records.thinned)
+    views = Views(RecordView(rows, records.coarse, noise, limits), fine)
     found = search(views, (*base, *companions, *level), spectrum, wanted.elements, report)
     if not found.fit.coulomb > 0.0:
         raise frictionless_error(records.names[0])
@@ -348,7 +348,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         mass, said = mass_number(final, given, mass_kg, units)
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, unexcited))
-    floor = noise_floor(views.fine.rows, fit.residual, _find_encoder_force(records, fit))
+    floor = noise_floor(views.fine.rows, fit.residual, next(iter(encoder_forces(views.fine, fit)), None))
     limits = [
         *said,
         *list_limits(numbers, found, final, views.fine, units, unexcited),
@@ -386,22 +386,6 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         by_count=found.counts,
         sources=records.names,
     )
-
-
-def _find_encoder_force(records: Records, fit: AxisFit) -> Array | None:
-    """Return the force that the encoder's steps leave in a residual (m) [N]; None where they do not show.
-
-    As of a diagnosis: mass times the acceleration that they make, and friction along the trajectory that they make.
-    """
-    if records.steps_inertia is None:
-        return None
-    rise, viscous = fit.shape.rise or NO_RISE, float(fit.coefficient("viscous").sum())
-    runs = run_elements(records.misread, fit.shape.law, fit.shape.distances, rise, jacobian=False)
-    change = sum((level * run.chi for level, run in zip(fit.levels, runs, strict=True)), -fit.elements @ fit.levels)
-    speeds = [
-        other.to_rows(other.velocity - own.velocity) for other, own in zip(records.misread, records.fine, strict=True)
-    ]
-    return np.asarray(records.steps_inertia - change - viscous * np.concatenate(speeds))
 
 
 def measurement_noise(machine: Machine, logs: Sequence[Log]) -> float:

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
-from sgms_mhe.recordings.path import bridge_gaps, displacements, smooth_path
-from sgms_mhe.recordings.recording import Recording, Runs, add_encoder, filter_position, position_error, prepare
+from sgms_mhe.recordings.encoder import encoder_noise
+from sgms_mhe.recordings.path import bridge_gaps, displacements, reading_error, smooth_path, thin_path
+from sgms_mhe.recordings.recording import Recording, Runs, add_encoder, position_error, prepare
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, apply_chain, readings
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.noise import encoder_step, noise_course
 
 Array = NDArray[np.float64]
 
@@ -28,8 +30,10 @@ PATH_RATE: Final = 16000.0
 RUNS_CACHED: Final = 64
 """Runs of elements that a motion keeps: a fit begins where another one ended."""
 
+ENCODERS: Final = 4
+"""Encoders that read a way once more: of fewer, what they make of a number would be less sure than the number."""
 SEED: Final = 20261127
-"""Of noise that stands for an encoder's."""
+"""Of their lines and their noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +80,9 @@ class Records:
         coarse: motion behind the filters at the rate of the rows, a log each.
         fine: the encoder's motion at the logs' rate, a log each.
         steps_inertia: force of the acceleration that the encoder's steps make (m) [N]; None where they do not show.
-        misread: `fine` as encoders of these steps, their lines elsewhere, read it; none where no steps show.
+        misread: `fine` as each of ENCODERS encoders of these steps, their lines elsewhere, reads it, a log each; none
+            where no steps show.
+        thinned: `fine` through every second sample, the even ones and the odd ones, a log each.
         resolution: of the position [m], noise of a measurement included.
         warnings: what a user should know of the logs.
     """
@@ -89,7 +95,8 @@ class Records:
     resolution: float
     warnings: tuple[str, ...]
     steps_inertia: Array | None = None
-    misread: tuple[ElementMotion, ...] = ()
+    misread: tuple[tuple[ElementMotion, ...], ...] = ()
+    thinned: tuple[tuple[ElementMotion, ...], ...] = ()
 
 
 def sort_logs(logs: Sequence[Log]) -> list[Log]:
@@ -118,14 +125,12 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
         for name, recording in zip(names, recordings, strict=True)
         for warning in recording.warnings
     )
-    ways = [
-        smooth_path(bridge_gaps(readings(log).position_m), noise) for log, noise in zip(logs, resolutions, strict=True)
-    ]
-    fine = tuple(map(_encoder_motion, recordings, logs, ways))
+    paths = [_read_path(log, noise) for log, noise in zip(logs, resolutions, strict=True)]
+    fine = tuple(_encoder_motion(*one) for one in zip(recordings, logs, [path[0] for path in paths], strict=True))
     read = list(map(add_encoder, recordings, logs))
     steps = [recording.steps_inertia for recording in read]
     shown = any(inertia is not None for inertia in steps)
-    noise = np.concatenate([_acceleration_noise(*one) for one in zip(read, logs, resolutions, strict=True)])
+    noise = np.concatenate([_acceleration_noise(*one) for one in zip(read, logs, strict=True)])
     return Records(
         machine=machine,
         names=names,
@@ -139,7 +144,19 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
         )
         if shown
         else None,
-        misread=tuple(map(_misread_motion, read, logs, fine)) if shown else (),
+        misread=tuple(
+            tuple(
+                own if inertia is None else _encoder_motion(recording, log, path[k])
+                for own, inertia, recording, log, path in zip(fine, steps, recordings, logs, paths, strict=True)
+            )
+            for k in range(1, ENCODERS + 1)
+        )
+        if shown
+        else (),
+        thinned=tuple(
+            tuple(_encoder_motion(*one) for one in zip(recordings, logs, ways, strict=True))
+            for ways in zip(*(thin_path(path[0]) for path in paths), strict=True)
+        ),
     )
 
 
@@ -173,18 +190,32 @@ def _join(recordings: Sequence[Recording]) -> Recording:
     )
 
 
-def _acceleration_noise(recording: Recording, log: Log, error: float) -> Array:
-    """Acceleration (m) [m/s^2] that the encoder's steps make, or noise of this deviation [m] where none show.
+def _read_path(log: Log, error: float) -> list[Array]:
+    """Return the way of an axis (n) [m] and, where its encoder's steps show, that as other encoders would read it.
+
+    Args:
+        log: the record.
+        error: of a reading, one standard deviation [m].
+    """
+    position = bridge_gaps(readings(log).position_m)
+    step, course = encoder_step(readings(log).position_m), noise_course(position)
+    way = smooth_path(position, error, course)
+    paths = [way]
+    beyond = np.sqrt(np.maximum(0.0, np.maximum(course, error) ** 2 - step**2 / 12.0))
+    for k in range(ENCODERS if step > 0.0 else 0):
+        white = beyond * np.random.default_rng([SEED, k]).standard_normal(len(way))
+        paths.append(smooth_path(way + white + reading_error(way + white, step, uneven=True, seed=k), error, course))
+    return paths
+
+
+def _acceleration_noise(recording: Recording, log: Log) -> Array:
+    """Acceleration (m) [m/s^2] that the encoder's steps, or readings off their stamps, make.
 
     None where friction or acceleration was recorded: the friction then holds no noise of a position's.
     """
     if recording.has_own_speeds or log.friction_N is not None:
         return np.zeros(len(recording.time))
-    noise = recording.noise
-    if noise is None:
-        white = np.random.default_rng(SEED).standard_normal(len(recording.signals))
-        noise = filter_position(recording.machine, error * white)
-    return recording.reduce(noise[:, 2])
+    return recording.reduce(encoder_noise(recording)[:, 2])
 
 
 def filter_motion(recording: Recording) -> ElementMotion:
@@ -215,11 +246,6 @@ def _encoder_motion(recording: Recording, log: Log, way: Array) -> ElementMotion
         rows=len(recording.time),
         filtered=not bypassed,
     )
-
-
-def _misread_motion(recording: Recording, log: Log, own: ElementMotion) -> ElementMotion:
-    """The way that an encoder with its lines elsewhere reads; that of the log where no steps show."""
-    return own if recording.misread is None else _encoder_motion(recording, log, recording.misread[:, 0])
 
 
 def drop_start(records: Records, distance: float) -> Records:

@@ -15,7 +15,8 @@ from sgms_mhe.identification.spectrum import BOTH_WAYS
 from sgms_mhe.identification.terms import companion_terms
 from sgms_mhe.machine import Machine, plant_content
 from sgms_mhe.model.effects import MOVES
-from sgms_mhe.recordings.recording import prepare
+from sgms_mhe.recordings.encoder import encoder_noise
+from sgms_mhe.recordings.recording import add_encoder, prepare
 from sgms_mhe.signals.logs import JITTER, Log
 from sgms_mhe.support.errors import InputError
 
@@ -124,30 +125,39 @@ def _fastest(log: Log, rate: float) -> float:
 def replace_filter(machine: Machine, logs: Sequence[Log]) -> tuple[Machine, tuple[str, ...]]:
     """Return the machine with a slower low-pass where its own biases the mass, and the sentence on that.
 
-    What an encoder adds to an acceleration makes the mass that is found too small: the filter is made slower until the
-    next one does not make it larger. Not where an axis goes one way: there the mass takes what friction is.
+    What an encoder, or readings off their stamps, add to an acceleration makes the mass that is found too small, by
+    its share of the power at least: the filter is made slower until that is small, and the next one does not make the
+    mass larger. Not where an axis goes one way: there the mass takes what friction is.
 
     Args:
         machine: with the low-pass that was asked for, and the mass behind it.
         logs: whose motion shows a mass.
     """
-    asked, biased = machine.sampling.velocity_cutoff, machine.plant.moved
-    for cutoff in CUTOFFS if any(map(_goes_both_ways, logs)) else ():
-        if not LOWEST_CUTOFF * machine.sampling.rate <= cutoff < machine.sampling.velocity_cutoff:
-            continue
+    if not any(map(_goes_both_ways, logs)):
+        return machine, ()
+    asked, chosen = machine.sampling.velocity_cutoff, machine
+    mass = biased = _fit_mass(machine, logs)
+    for cutoff in (c for c in CUTOFFS if LOWEST_CUTOFF * machine.sampling.rate <= c < asked):
         slower = override_machine(machine, {"sampling": {"velocity_cutoff": cutoff}})
-        mass = _fit_mass(slower, logs)
-        if mass - machine.plant.moved <= BIASED * mass:
+        larger = _fit_mass(slower, logs)
+        if larger - mass <= BIASED * larger and all(_acceleration_noise(chosen, log) <= BIASED for log in logs):
             break
-        machine = override_machine(slower, {"plant": plant_content(machine.plant.kind, mass)})
-    cutoff = machine.sampling.velocity_cutoff
-    if cutoff == asked:
+        chosen, mass = slower, larger
+    cutoff = chosen.sampling.velocity_cutoff
+    if mass - biased <= BIASED * mass:
         return machine, ()
     sentence = (
         f"velocity_cutoff = {cutoff:g} Hz in place of {asked:g} Hz: behind that, noise of the position makes the "
-        f"{machine.plant.units.inert} {1.0 - biased / machine.plant.moved:.0%} too small"
+        f"{machine.plant.units.inert} {1.0 - biased / mass:.0%} too small"
     )
-    return machine, (sentence,)
+    return override_machine(chosen, {"plant": plant_content(machine.plant.kind, mass)}), (sentence,)
+
+
+def _acceleration_noise(machine: Machine, log: Log) -> float:
+    """Noise of the position in the acceleration behind a low-pass, over the acceleration, squared sums."""
+    rows = add_encoder(prepare(machine, log), log)
+    noise = rows.reduce(encoder_noise(rows)[:, 2])[rows.used]
+    return float(noise @ noise / np.sum(rows.acceleration[rows.used] ** 2))
 
 
 def _goes_both_ways(log: Log) -> bool:

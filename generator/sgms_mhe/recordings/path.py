@@ -26,7 +26,7 @@ SEED: Final = 20261126
 """Of the lines' places: the same log gives the same noise."""
 
 
-def smooth_path(position: Array, noise: float) -> Array:
+def smooth_path(position: Array, noise: float, course: Array | None = None) -> Array:
     """The smoothest way (n) [m] that explains the readings of an encoder (n) [m].
 
     It minimises the sum of squares of readings minus way, in deviations of a reading, plus a weight times that of its
@@ -38,16 +38,18 @@ def smooth_path(position: Array, noise: float) -> Array:
     Args:
         position: readings, without gaps.
         noise: of a reading, one standard deviation [m]; 0: they are the way.
+        course: of each reading (n) [m], where some have more; None: all have as much.
     """
     if noise == 0.0 or len(position) < BLOCK:
         return position
     readings = (position - position[0]) / noise
+    larger = np.ones(len(position)) if course is None else np.maximum(1.0, course / noise)
     low, high = WEIGHTS
     found = readings
     for _ in range(HALVINGS):
         weight = 0.5 * (low + high)
-        way = _graduate(readings, 10.0**weight)
-        if _largest_residual(readings - way) <= CLOSE:
+        way = _graduate(readings, 10.0**weight, larger)
+        if _largest_residual((readings - way) / larger) <= CLOSE:
             low, found = weight, way
         else:
             high = weight
@@ -60,7 +62,7 @@ def bridge_gaps(position: Array) -> Array:
     return position if good.all() else np.interp(at, at[good], position[good])
 
 
-def reading_error(way: Array, step: float, *, uneven: bool = False) -> Array:
+def reading_error(way: Array, step: float, *, uneven: bool = False, seed: int = SEED) -> Array:
     """Return the error of an encoder of this step along a trajectory (n) [m] with its lines elsewhere (n) [m].
 
     The trajectory is known to a quarter of a step: about its own lines an axis at rest would show no error, and a slow
@@ -71,6 +73,7 @@ def reading_error(way: Array, step: float, *, uneven: bool = False) -> Array:
         step: from line to line [m].
         uneven: each line is up to half a step elsewhere, by chance: where an axis stops between two lines is another
             place each time.
+        seed: of that chance.
     """
     way = way / step
     if not uneven:
@@ -78,20 +81,31 @@ def reading_error(way: Array, step: float, *, uneven: bool = False) -> Array:
     else:
         below = np.floor(way)
         lines, which = np.unique(np.concatenate((below, below + 1.0)), return_inverse=True)
-        before, behind = np.random.default_rng(SEED).uniform(-0.5, 0.5, len(lines))[which].reshape(2, -1)
+        before, behind = np.random.default_rng(seed).uniform(-0.5, 0.5, len(lines))[which].reshape(2, -1)
         way = way + before + (behind - before) * (way - below)
     return np.asarray(step * (np.round(way) - way))
 
 
-def _graduate(readings: Array, weight: float) -> Array:
-    """Solve (I + weight D'D) way = readings, D being third differences."""
+def thin_path(way: Array) -> tuple[Array, Array]:
+    """Return a way (n) [m] as a cubic spline through its even samples has it, and through its odd ones (n) each.
+
+    Between samples an axis that breaks away or turns round is no spline: what halving them changes is about as much as
+    they lack themselves.
+    """
+    at = np.arange(len(way))
+    even, odd = (np.asarray(CubicSpline(at[k::2], way[k::2])(at)) for k in (0, 1))
+    return even, odd
+
+
+def _graduate(readings: Array, weight: float, noise: Array) -> Array:
+    """Solve (I / noise^2 + weight D'D) way = readings / noise^2, D being third differences."""
     order, n = len(DIFFERENCE) - 1, len(readings)
     bands = np.zeros((order + 1, n))
     for i, one in enumerate(DIFFERENCE):
         for j, other in enumerate(DIFFERENCE[: i + 1]):
             bands[order - (i - j), i : i + n - order] += weight * one * other
-    bands[order] += 1.0
-    return np.asarray(solveh_banded(bands, readings, overwrite_ab=True, check_finite=False))
+    bands[order] += noise**-2
+    return np.asarray(solveh_banded(bands, readings * noise**-2, overwrite_ab=True, check_finite=False))
 
 
 def _largest_residual(rest: Array) -> float:
