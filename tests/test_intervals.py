@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine
@@ -15,7 +16,13 @@ from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.recordings.evidence import ALONE, cross_loss, jackknife_covariance, robust_covariance
+from sgms_mhe.recordings.evidence import (
+    ALONE,
+    cross_loss,
+    jackknife_covariance,
+    robust_covariance,
+    stationary_covariance,
+)
 from sgms_mhe.recordings.recording import prepare
 
 BLOCKS, ROWS, FOLDS = 12, 40, 4
@@ -100,6 +107,27 @@ def test_a_sum_is_known_of_which_no_part_is() -> None:
     alone = robust_covariance(recording, X[:, :1], residual, H[:1, :1], 1.0 / H[:1, :1], wrong=0.1)  # type: ignore[arg-type]
     assert cov[0, 0] > 1e6 * alone[0, 0]
     assert 0.9 * alone[0, 0] < cov.sum() < 2.0 * alone[0, 0]
+
+
+@pytest.mark.parametrize(("colour", "least"), [(0.0, 0.9), (0.9, 0.8)])
+def test_numbers_scatter_as_the_spectrum_of_the_residual_says(colour: float, least: float) -> None:
+    """A level and a slope by least squares under noise that keeps its sign over ten rows, or none."""
+    recording, random = rows_in_blocks(), np.random.default_rng(7)
+    count = BLOCKS * ROWS
+    X = np.column_stack((np.ones(count), np.linspace(-1.0, 1.0, count)))
+    inverse = np.linalg.inv(X.T @ X)
+    found, stated = [], []
+    for _ in range(300):
+        white = random.normal(size=2 * count)
+        noise = lfilter([1.0], [1.0, -colour], white)[count:]
+        b = inverse @ X.T @ noise
+        found.append(b)
+        stated.append(np.diag(stationary_covariance(recording, X, noise - X @ b, inverse)))  # type: ignore[arg-type]
+    share = np.sqrt(np.mean(stated, axis=0)) / np.std(found, axis=0)
+    assert (share > least).all()
+    assert (share < 1.15).all()
+    if colour:  # as white rows they would be known four times better
+        assert (np.sqrt(np.diag(inverse) * np.mean(noise**2)) < 0.3 * np.std(found, axis=0)).all()
 
 
 def test_errors_that_a_noise_floor_may_hide_widen_an_interval(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.fft import next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 
 from sgms_mhe.recordings.noise import find_colour, quiet_variance
@@ -43,6 +44,8 @@ ALONE: Final = 0.9
 """Share of the information on a number that one block may hold: with all of it there is none to move to without it."""
 COHERENT_ROWS: Final = 16
 """Stretch that a model's own error keeps its sign over, for intervals [rows]: a reversal."""
+SMOOTH_SHARE: Final = 0.15  # of a frequency, to either side: its power is the mean of these
+SMOOTH_LEAST: Final = 4  # half frequencies, of a record's length: the slowest few are one
 UNSEEN_ERROR: Final = 0.15
 """RMS that a model may get wrong beyond what is seen, for intervals [noise floor]: a floor that is right to 1 % hides
 as much."""
@@ -270,8 +273,9 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
     """Covariance of fitted numbers (p, p).
 
     Noise, by the change of the numbers without each block (`jackknife_covariance`), robust to colour within a block and
-    to numbers that few blocks tell of, but no less than if the residual were white. And the error of the model, which
-    does not average out as noise does: taken as coherent over COHERENT_ROWS.
+    to numbers that few blocks tell of, but no less than if the residual were white, or stationary with its own spectrum
+    (`stationary_covariance`): what is slower than a block. And the error of the model, which does not average out as
+    noise does: taken as coherent over COHERENT_ROWS.
 
     Args:
         recording: rows of the fit.
@@ -282,13 +286,43 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
         wrong: RMS of what the model gets wrong [N].
     """
     noise = jackknife_covariance(recording, X, residual, H)
-    # Blocks that happen to balance must not promise more than white noise would allow.
+    # Blocks that happen to balance must not promise more than noise would allow.
     white = inverse * float(np.mean(residual[recording.used] ** 2))
-    # What is missing is added as white noise is correlated: a sum may be known of which no part is.
-    variance = np.maximum(np.diag(white), TINY)
-    missing = np.sqrt(np.maximum(0.0, variance - np.diag(noise)) / variance)
-    noise = noise + white * np.outer(missing, missing)
+    for least in (white, stationary_covariance(recording, X, residual, inverse)):
+        # What is missing is added as that noise is correlated: a sum may be known of which no part is.
+        variance = np.maximum(np.diag(least), TINY)
+        missing = np.sqrt(np.maximum(0.0, variance - np.diag(noise)) / variance)
+        noise = noise + least * np.outer(missing, missing)
     return np.asarray(noise + inverse * COHERENT_ROWS * wrong**2)
+
+
+def stationary_covariance(recording: Recording, X: Array, residual: Array, inverse: Array) -> Array:
+    """Covariance (p, p) of numbers fitted by X (m, p), were the residual stationary noise of its own spectrum.
+
+    A sandwich in the frequency domain: the spectrum of the used rows' residual (m), a mean over SMOOTH_SHARE of the
+    frequency to either side, weights the columns. Of a residual that wanders a block knows nothing, and numbers whose
+    columns wander too are far less sure than as many white rows would make them. What the fit itself took out of a
+    frequency, the share of its columns there, counts as missing.
+    """
+    length = 2 * next_fast_len(len(residual), real=True)
+    used = recording.used
+    power = np.abs(rfft(np.where(used, residual, 0.0), length)) ** 2
+    columns = rfft(np.where(used[:, None], X, 0.0), length, axis=0)
+    taken = np.einsum("fi,ij,fj->f", columns.conj(), inverse, columns, optimize=True).real
+    place = np.arange(len(power))
+    reach = np.maximum(SMOOTH_LEAST, (SMOOTH_SHARE * place).astype(np.int64))
+    first, last = np.maximum(place - reach, 0), np.minimum(place + reach + 1, len(power))
+
+    def smooth(series: Array) -> Array:
+        total = np.concatenate(((0.0,), np.cumsum(series)))
+        return np.asarray((total[last] - total[first]) / (last - first))
+
+    rows = max(1, int(np.count_nonzero(used)))
+    density = smooth(power) / np.maximum(rows - smooth(taken), (1.0 - ALONE) * rows)
+    weight = density * 2.0 / length
+    weight[[0, -1]] *= 0.5  # the others stand for two frequencies each
+    weighted = columns * np.sqrt(weight)[:, None]
+    return np.asarray(inverse @ (weighted.conj().T @ weighted).real @ inverse)
 
 
 def jackknife_covariance(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
