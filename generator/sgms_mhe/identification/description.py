@@ -208,7 +208,8 @@ def _number(name: str, quantity: NumberEstimate) -> Number:
     if quantity.std <= ROUNDING * abs(quantity.value):  # the share of an only element
         return Number(name, quantity.value, math.nan, True)
     known = quantity.relative <= KNOWN
-    return Number(name, quantity.value, quantity.std, known, "" if known else STAND_IN)
+    std = math.hypot(quantity.std, quantity.spread)
+    return Number(name, quantity.value, std, known, "" if known else STAND_IN)
 
 
 def _to(count: int) -> range:

@@ -102,8 +102,10 @@ def run_elements(
     """Elements of these distances (k) along all logs, their rows behind one another."""
 
     def run(distance: float) -> ElementRun:
-        runs = [run_element(motion, law, distance, rise, jacobian=jacobian) for motion in motions]
-        return ElementRun(np.concatenate([r.chi for r in runs]), np.concatenate([r.jacobian for r in runs]))
+        runs = [run_element(m, law, distance * m.scale, rise, jacobian=jacobian) for m in motions]
+        pairs = list(zip(motions, runs, strict=True))
+        chi, slopes = [m.scale * r.chi for m, r in pairs], [m.scale * r.jacobian for m, r in pairs]
+        return ElementRun(np.concatenate(chi), np.concatenate(slopes))
 
     return run_parallel([partial(run, distance) for distance in distances.tolist()])
 

@@ -21,6 +21,7 @@ from sgms_mhe.identification.fits import (
     noise_share,
     quantities,
 )
+from sgms_mhe.identification.record_numbers import add_spread, fit_record_terms
 from sgms_mhe.identification.search import (
     CHOICE_ITERATIONS,
     ChosenModel,
@@ -34,6 +35,8 @@ from sgms_mhe.identification.search import (
 from sgms_mhe.identification.spectrum import LARGEST
 from sgms_mhe.identification.terms import (
     LAW_AND_SAMPLING,
+    LEVEL_OF_RECORD,
+    OF_RECORD,
     Term,
     effect_parameters,
     is_level,
@@ -157,7 +160,7 @@ def make_final_fit(
         cov = cov + _law_covariance(views.fine, fit)
     if noise_share(views.fine, fit) > MASS_NOISE:
         mass = None
-    numbers = quantities(fit, cov)
+    numbers = add_spread(views.fine, fit, quantities(fit, cov))
     if "viscous" in dropped:  # held at 0 it would make the level look surer than it is
         numbers["coulomb"] = replace(numbers["coulomb"], std=wide["coulomb"].std)
     rows = views.fine.rows
@@ -186,20 +189,22 @@ def _coordinates(fit: AxisFit) -> Array:
 def _fit_finely(views: Views, fit: AxisFit, law: Law) -> AxisFit:
     """The fit at the full rate under a law, what a level grows with taken from it until that does not change."""
     fit = fit_axis(views.fine, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS)
-    for _ in range(RENEWALS if any(map(is_level, fit.terms)) else 0):
+    renewed = any(is_level(term) or term.name == LEVEL_OF_RECORD for term in fit.terms)
+    for _ in range(RENEWALS if renewed else 0):
         before = fit.rms
-        fit = fit_axis(views.fine, _renew_levels(views.fine.rows, fit), fit.shape, iterations=FINAL_ITERATIONS)
+        fit = fit_axis(views.fine, _renew_levels(views, fit), fit.shape, iterations=FINAL_ITERATIONS)
         if abs(fit.rms - before) <= SETTLED * before:
             break
     return fit
 
 
-def _renew_levels(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
-    """The terms of a fit, those of the level along what it transmits."""
-    renewed = {(term.name, *term.given.values()): term for term in _level_terms(rows, fit)}
+def _renew_levels(views: Views, fit: AxisFit) -> tuple[Term, ...]:
+    """The terms of a fit, those of the level along what it transmits, or along its elements."""
+    terms = (*_level_terms(views.fine.rows, fit), *fit_record_terms(views, fit))
+    renewed = {(term.name, *term.given.values()): term for term in terms}
     return tuple(
         replace(term, columns=renewed[term.name, *term.given.values()].columns[:, : term.columns.shape[1]])
-        if is_level(term)
+        if is_level(term) or term.name == LEVEL_OF_RECORD
         else term
         for term in fit.terms
     )
@@ -308,7 +313,8 @@ def _add_companions(
     """
     left = [term for term in companions if term.name in excited or _has_limit(term.name, excited)]
     left = sorted(left, key=lambda term: term.columns.shape[1])
-    lined = align(views, whole)
+    left += fit_record_terms(views, whole)
+    lined, base = align(views, whole), [term for term in base if term.name not in OF_RECORD]
     fit = fit_axis(lined, base, whole.shape, iterations=CHOICE_ITERATIONS)
     rivals: dict[str, tuple[str, ...]] = {}
     source = whole
@@ -337,17 +343,19 @@ def _add_companions(
             if is_better(tried[name], tried[best]):
                 best = name
         fit = source = tried[best]
+        left = [term for term in left if term.name != best]
+        if best in OF_RECORD:
+            continue
         rivals[best] = tuple(
             other
             for other in better
-            if other != best and separating_moves(best, other) and not is_better(fit, tried[other])
+            if other not in (best, *OF_RECORD) and separating_moves(best, other) and not is_better(fit, tried[other])
         )
         if effect_definition(best).elastic and bends[best] > 0.0:
             rivals[best] += _ripples(best)
         if best not in excited:
             limits = [name for name in effect_definition(best).simpler.causes if name in tried]
             rivals[best] = (min(limits, key=lambda name: tried[name].cross_rms),) if limits else rivals[best]
-        left = [term for term in left if term.name != best]
     return fit_aligned(views, fit.terms, fit.shape, rounds=1), {a: b for a, b in rivals.items() if b}
 
 
@@ -393,7 +401,7 @@ def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
     if not any(map(is_level, fit.terms)):
         return fit
     fit = _search_trials(views, fit)
-    terms = _renew_levels(views.fine.rows, fit)
+    terms = _renew_levels(views, fit)
     plain = _drop_load_rise(terms)
     if all(a.columns.shape == b.columns.shape for a, b in zip(plain, terms, strict=True)):
         return fit_aligned(views, terms, fit.shape, rounds=1)

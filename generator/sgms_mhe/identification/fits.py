@@ -405,10 +405,11 @@ def friction_change(view: RecordView, fit: AxisFit, motions: Sequence[ElementMot
 
 @dataclass(frozen=True)
 class NumberEstimate:
-    """A number and its standard deviation."""
+    """A number and its standard deviation; where it is the mean over records, `spread` is that of theirs about it."""
 
     value: float
     std: float
+    spread: float = 0.0
 
     @property
     def relative(self) -> float:

@@ -23,19 +23,24 @@ from sgms_mhe.identification.description import (
     mass_number,
     unknown_mass,
 )
+from sgms_mhe.identification.elements import NO_RISE, run_elements
 from sgms_mhe.identification.final_fit import FinalIdentification, Known, make_final_fit
 from sgms_mhe.identification.fits import RecordView, encoder_forces
-from sgms_mhe.identification.records import Records, drop_start, filter_motion, make_records, sort_logs
+from sgms_mhe.identification.record_numbers import list_record_numbers
+from sgms_mhe.identification.records import Records, drop_start, filter_motion, make_records, scale_levels, sort_logs
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, replace_filter, rough_mass, unknown_axis
-from sgms_mhe.identification.search import LEAST_SHARE, MOST_ELEMENTS, ChosenModel, Progress, Views, search
+from sgms_mhe.identification.search import LEAST_SHARE, MATERIAL, MOST_ELEMENTS, ChosenModel, Progress, Views, search
 from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import (
+    LEVEL_OF_RECORD,
     Term,
     companion_terms,
     curve_terms,
     level_terms,
     mass_term,
+    record_sizes,
+    record_terms,
     sampling_terms,
     transmitted_force,
     viscous_term,
@@ -63,6 +68,10 @@ DRIVEN: Final = 0.2
 """Mean power of friction over its mean size below minus which a sign is wrong: friction takes power."""
 NO_MASS: Final = 1.0
 """Mass [kg], or inertia [kg m^2], that stands in the file where friction alone was recorded: nothing depends on it."""
+SCALINGS: Final = 2
+"""Times that the levels of records are found beside each other [1]: each to first order."""
+LEAST_SCALE: Final = 0.1
+"""Least factor that a level changes by in one of them [1]."""
 LEAST_NOISE: Final = 1e-4
 """Of the Coulomb level: a simulation without noise still has rounding and a sample's length."""
 
@@ -173,9 +182,9 @@ def _explore_records(records: Records, wanted: Wanted, known: Known, report: Pro
     """Find law, elements and numbers of an axis along its records; `known`: what stays unless they contradict."""
     report("convex start")
     # Which rows count is no matter of where the search starts: of one grid, whatever the start's is.
-    records = drop_start(records, _start(records, PER_DECADE)[0].reach)
+    records = drop_start(records, _start(records, PER_DECADE)[1].reach)
     rows = records.rows
-    spectrum, base = _start(records, wanted.per_decade)
+    records, spectrum, base = _start(records, wanted.per_decade)
     companions, curves = companion_terms(rows), curve_terms(rows)
     level = _level_terms(rows, base, spectrum)
     noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
@@ -202,22 +211,69 @@ def _explore_records(records: Records, wanted: Wanted, known: Known, report: Pro
     return Explored(records, views, found, final, measured)
 
 
-def _start(records: Records, per_decade: float) -> tuple[Spectrum, tuple[Term, ...]]:
-    """Return the convex start, and the terms beside the elements that are no effects.
+def _start(records: Records, per_decade: float) -> tuple[Records, Spectrum, tuple[Term, ...]]:
+    """Return the records with their levels, the convex start, and the terms beside the elements that are no effects.
 
     Raises:
         InputError: there is no friction.
     """
     rows, grid = records.rows, distance_grid(records, per_decade)
-    base = (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
+    base: tuple[Term, ...] = (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
     beside, noise = companion_terms(rows), noise_floor(rows, rows.friction)
     spectrum = find_spectrum(records, (*base, *beside), noise, grid)
+    records, base, spectrum = _separate_records(records, base, beside, spectrum, noise, grid)
     terms, level = (*base, *beside), _level_terms(rows, base, spectrum)
     if level:
         spectrum = find_spectrum(records, (*terms, *level), noise, grid)
     if not len(spectrum.distances):
         raise frictionless_error(records.names[0])
-    return spectrum, base
+    return records, spectrum, base
+
+
+def _separate_records(
+    records: Records, base: Sequence[Term], beside: Sequence[Term], spectrum: Spectrum, noise: float, grid: Array
+) -> tuple[Records, tuple[Term, ...], Spectrum]:
+    """Return records, terms and convex start with what belongs to a record, where that leaves clearly less.
+
+    Args:
+        records: all logs.
+        base: terms that are no effects.
+        beside: effects that may be there.
+        spectrum: convex start with these terms.
+        noise: of a row [N].
+        grid: break-away distances [m].
+    """
+    own: list[Term] = []
+    left = list(_record_terms(records, spectrum))
+    while left:
+        tried = [find_spectrum(records, (*own, term, *base, *beside), noise, grid) for term in left]
+        best = min(range(len(left)), key=lambda k: tried[k].loss)
+        if not tried[best].loss < (1.0 - MATERIAL) ** 2 * spectrum.loss:
+            break
+        spectrum = tried[best]
+        own.append(left.pop(best))
+    names = [term.name for term in own]
+    for _ in range(SCALINGS if LEVEL_OF_RECORD in names else 0):
+        first = names.index(LEVEL_OF_RECORD) * (len(records.names) - 1)
+        sizes = record_sizes(spectrum.coefficients[first : first + len(records.names) - 1])
+        factors = np.maximum(1.0 + sizes / float(spectrum.levels.sum()), LEAST_SCALE)
+        records = scale_levels(records, factors.tolist())
+        anew = {term.name: term for term in _record_terms(records, spectrum)}
+        own = [anew[name] for name in names]
+        spectrum = find_spectrum(records, (*own, *base, *beside), noise, grid)
+    log_decision("records", "offset, level and damping of each record, where they leave clearly less", own=names)
+    return records, (*own, *base), spectrum
+
+
+def _record_terms(records: Records, spectrum: Spectrum) -> tuple[Term, ...]:
+    """Return what belongs to a record and not to the axis, the level along the convex start's elements."""
+    if len(records.names) < 2 or not len(spectrum.distances):
+        return ()
+    runs = run_elements(records.coarse, "switching", spectrum.distances, spectrum.rise or NO_RISE)
+    pairs = zip(spectrum.levels.tolist(), runs, strict=True)
+    force = np.sum([level * (run.chi + run.jacobian[:, 0]) for level, run in pairs], axis=0)
+    lengths = [motion.rows for motion in records.coarse]
+    return record_terms(records.rows, lengths, force / float(spectrum.levels.sum()))
 
 
 def _level_terms(rows: Recording, base: Sequence[Term], spectrum: Spectrum) -> tuple[Term, ...]:
@@ -378,7 +434,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         law_decided=found.decided,
         numbers=numbers,
         limits=tuple(limits),
-        warnings=records.warnings,
+        warnings=(*records.warnings, *list_record_numbers(records.names, views.fine, fit, units)),
         rms_N=fit.rms,
         held_out_rms_N=final.held_out_rms,
         noise_floor_N=floor,

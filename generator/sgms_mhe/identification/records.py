@@ -50,6 +50,7 @@ class ElementMotion:
         filtered: whether a force passes the chain before it is compared: displacements are those of the encoder then,
             else those behind the filters.
         runs: the newest ones of elements along it.
+        scale: level of its record over the mean of all [1]; stiffnesses are the same.
     """
 
     machine: Machine
@@ -60,6 +61,7 @@ class ElementMotion:
     rows: int
     filtered: bool
     runs: Runs = field(default_factory=lambda: Runs(RUNS_CACHED), repr=False)
+    scale: float = 1.0
 
     def to_rows(self, series: Array) -> Array:
         """A force, or columns of forces, at the rows: (n, ...) to (rows, ...)."""
@@ -97,6 +99,23 @@ class Records:
     steps_inertia: Array | None = None
     misread: tuple[tuple[ElementMotion, ...], ...] = ()
     thinned: tuple[tuple[ElementMotion, ...], ...] = ()
+
+
+def scale_levels(records: Records, factors: Sequence[float]) -> Records:
+    """Return records whose levels are these factors times those before, about the same mean."""
+    scales = np.array([motion.scale for motion in records.coarse]) * np.array(factors)
+    scales = (scales / scales.mean()).tolist()
+
+    def scaled(motions: Sequence[ElementMotion]) -> tuple[ElementMotion, ...]:
+        return tuple(replace(motion, scale=scale) for motion, scale in zip(motions, scales, strict=True))
+
+    return replace(
+        records,
+        coarse=scaled(records.coarse),
+        fine=scaled(records.fine),
+        misread=tuple(map(scaled, records.misread)),
+        thinned=tuple(map(scaled, records.thinned)),
+    )
 
 
 def sort_logs(logs: Sequence[Log]) -> list[Log]:

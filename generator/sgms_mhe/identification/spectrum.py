@@ -59,6 +59,7 @@ class Spectrum:
         rise: towards low speed; None: none.
         coefficients: of all columns of the terms (c).
         sliding: force of the elements over their level, -1 to 1 (m).
+        loss: sum of squares that fits without a fold leave on it [N^2].
     """
 
     distances: Array
@@ -66,6 +67,7 @@ class Spectrum:
     rise: Stribeck | None
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
     sliding: Array = field(default_factory=lambda: np.zeros(0))
+    loss: float = math.inf
 
     @property
     def reach(self) -> float:
@@ -104,7 +106,7 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
         return loss, speed, coefficients
 
     tried = run_parallel([partial(tried_at, speed) for speed in (None, *speeds.tolist())])
-    _, speed, coefficients = min(tried, key=lambda entry: entry[0])
+    loss, speed, coefficients = min(tried, key=lambda entry: entry[0])
     levels, rise = coefficients[: len(grid)], None
     if speed is not None:
         rising = np.zeros(len(grid))
@@ -117,7 +119,7 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
         rise = Stribeck(ratio, speed) if ratio > 0.0 else None
     kept = levels > NEGLIGIBLE * levels.sum()
     sliding = chi @ levels / max(float(levels.sum()), 1e-300)
-    return Spectrum(grid[kept], levels[kept], rise, coefficients[-columns.shape[1] :], sliding)
+    return Spectrum(grid[kept], levels[kept], rise, coefficients[-columns.shape[1] :], sliding, loss)
 
 
 def cluster(spectrum: Spectrum, count: int) -> tuple[Array, Array]:

@@ -25,7 +25,14 @@ HELD: Final = "held"
 """Name of the change [s^2] of the force with its second derivative."""
 PLACE: Final = "place"
 """Name of a force over the place that is no straight line: a spring is judged beside it, no file states it."""
-LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, HELD, PLACE)
+OFFSET_OF_RECORD: Final = "record_offset"
+"""Name of what the offset [N] of a record is beyond the mean over records."""
+LEVEL_OF_RECORD: Final = "record_level"
+"""Name of the same of the Coulomb level [N]."""
+DAMPING_OF_RECORD: Final = "record_damping"
+"""Name of the same of the damping [N s/m]."""
+OF_RECORD: Final = (OFFSET_OF_RECORD, LEVEL_OF_RECORD, DAMPING_OF_RECORD)
+LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, HELD, PLACE, *OF_RECORD)
 """Names of terms that are no effects."""
 BENDS: Final = (2, 3, 4, 5)
 """Orders of the polynomials over the travel that such a force has."""
@@ -83,6 +90,32 @@ def sampling_terms(rows: Recording) -> tuple[Term, ...]:
         Term(LATE, rows.reduce(rate)[:, None], deviation=TIMING * step),
         Term(HELD, rows.reduce(second)[:, None], deviation=0.5 * (TIMING * step) ** 2),
     )
+
+
+def record_terms(rows: Recording, lengths: Sequence[int], sliding: Array) -> tuple[Term, ...]:
+    """Return the terms of what belongs to a record and not to the axis; none of one record alone.
+
+    Each is the difference to the mean over records, that of the last one minus the sum of the others'.
+
+    Args:
+        rows: of all records (m).
+        lengths: rows of each.
+        sliding: derivative of the elements' force in their Coulomb level (m).
+    """
+    if len(lengths) < 2:
+        return ()
+    each = np.repeat(np.eye(len(lengths)), lengths, axis=0)
+    apart = each[:, :-1] - each[:, -1:]
+    velocity = viscous_term(rows).columns
+    columns = (apart, sliding[:, None] * apart, velocity * apart)
+    return tuple(Term(name, column) for name, column in zip(OF_RECORD, columns, strict=True))
+
+
+def record_sizes(coefficients: Array) -> Array:
+    """Return what each record (k) has beyond the mean, by the coefficients (k - 1) of its term; none of no term."""
+    if not len(coefficients):
+        return coefficients
+    return np.append(coefficients, -float(np.sum(coefficients)))
 
 
 def place_curve(rows: Recording) -> Term:

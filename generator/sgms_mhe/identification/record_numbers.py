@@ -1,0 +1,64 @@
+"""Offset, level and damping of each of several records beside a fit that has their means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.identification.fits import NOTHING, AxisFit, NumberEstimate, RecordView
+from sgms_mhe.identification.search import Views
+from sgms_mhe.identification.terms import (
+    DAMPING_OF_RECORD,
+    LEVEL_OF_RECORD,
+    OFFSET_OF_RECORD,
+    Term,
+    record_sizes,
+    record_terms,
+)
+from sgms_mhe.machine import Units
+
+Array = NDArray[np.float64]
+
+
+def fit_record_terms(views: Views, fit: AxisFit) -> tuple[Term, ...]:
+    """Return what may belong to a record, the level along a fit's elements: of the same stiffness, to first order."""
+    lengths, count = [motion.rows for motion in views.coarse.motions], len(fit.levels)
+    force = fit.elements @ fit.levels + fit.jacobian[:, :count].sum(axis=1)
+    return record_terms(views.fine.rows, lengths, force / max(fit.coulomb, NOTHING))
+
+
+def add_spread(view: RecordView, fit: AxisFit, numbers: dict[str, NumberEstimate]) -> dict[str, NumberEstimate]:
+    """Return the numbers, level and damping with the spread of those of the records about them."""
+    own = {"coulomb": find_record_levels(view, fit), "viscous": record_sizes(fit.coefficient(DAMPING_OF_RECORD))}
+    for name, values in own.items():
+        if len(values) > 1 and name in numbers:
+            numbers[name] = replace(numbers[name], spread=float(np.std(values, ddof=1)))
+    return numbers
+
+
+def find_record_levels(view: RecordView, fit: AxisFit) -> Array:
+    """Return the Coulomb level of each record (k) [N]; none where all have the same."""
+    scales, term = np.array([motion.scale for motion in view.motions]), fit.coefficient(LEVEL_OF_RECORD)
+    if not len(term):
+        return fit.coulomb * scales if np.ptp(scales) > 0.0 else scales[:0]
+    return np.asarray(fit.coulomb * scales + record_sizes(term))
+
+
+def list_record_numbers(names: Sequence[str], view: RecordView, fit: AxisFit, units: Units) -> tuple[str, ...]:
+    """Return the sentences on what each record has of its own; the file has the means."""
+    offsets, damping = (record_sizes(fit.coefficient(name)) for name in (OFFSET_OF_RECORD, DAMPING_OF_RECORD))
+    stated = (
+        ("offset beside the mean", offsets, units.force),
+        ("Coulomb level", find_record_levels(view, fit), units.force),
+        ("damping", damping + float(fit.coefficient("viscous").sum()), units.damping),
+    )
+    said = []
+    for name, values, unit in stated:
+        if len(values) > 1:
+            pairs = zip(names, values.tolist(), strict=True)
+            each = ", ".join(f"{value:.4g} {unit} in {record}" for record, value in pairs)
+            said.append(f"{name}: {each}; the file has the mean over records")
+    return tuple(said)

@@ -1,0 +1,94 @@
+"""Identification from several records of one axis: what belongs to a record is free in each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cli_cases import SMALL
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.identification.elements import NO_RISE, run_elements
+from sgms_mhe.identification.identify import Wanted, identify
+from sgms_mhe.identification.records import Records, filter_motion, scale_levels
+from sgms_mhe.identification.terms import OF_RECORD, record_sizes, record_terms
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.recordings.recording import prepare
+from sgms_mhe.signals.logs import Log
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    path = tmp_path_factory.mktemp("machine") / "small.toml"
+    path.write_text(SMALL)
+    return load_machine(path)
+
+
+def recorded(machine: Machine, seed: int, scale: Mapping[str, float], offset: float) -> Log:
+    """A record of an axis at another temperature, with an offset [N] of its own."""
+    own = [("constant_offset", {"force_N": offset})]
+    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
+    log = simulate_axis(machine, trajectory, AxisConfig(seed=seed), hidden_effects=own, scale=scale, truth=False).log
+    return replace(log, source=f"record {seed}")
+
+
+@pytest.mark.slow
+def test_offset_level_and_damping_are_free_in_each_record(machine: Machine) -> None:
+    logs = [
+        recorded(machine, 1, {"coulomb": 0.8, "viscous": 0.7}, 0.5),
+        recorded(machine, 2, {"coulomb": 1.2, "viscous": 1.3}, -0.3),
+        recorded(machine, 3, {}, 0.2),
+    ]
+    found = identify(logs, Wanted("found", machine.plant.moved))
+    truth = machine.friction
+    assert found.held_out_rms_N < 1.3 * found.noise_floor_N  # one offset and level for all leave 60 noise floors
+    assert found.machine.friction.stiffness == pytest.approx(truth.stiffness, rel=0.01)
+    assert found.machine.friction.fraction == pytest.approx(truth.fraction, abs=0.003)
+    numbers = {number.name: number for number in found.numbers}
+    # Level and damping are the means, as uncertain as the records differ.
+    assert numbers["coulomb"].value == pytest.approx(truth.coulomb, rel=0.005)
+    assert numbers["coulomb"].std == pytest.approx(0.2 * truth.coulomb, rel=0.05)
+    assert numbers["viscous"].value == pytest.approx(truth.viscous, rel=0.005)
+    assert numbers["viscous"].std == pytest.approx(0.3 * truth.viscous, rel=0.05)
+    assert numbers["coulomb"].determined and numbers["viscous"].determined
+    level, damping = (next(w for w in found.warnings if w.startswith(word)) for word in ("Coulomb level", "damping"))
+    levels = {name: float(size) for size, name in re.findall(r"([\d.]+) N in (record \d)", level)}
+    assert levels == pytest.approx({"record 1": 3.2, "record 2": 4.8, "record 3": 4.0}, rel=0.005)
+    dampings = {name: float(size) for size, name in re.findall(r"([\d.]+) N s/m in (record \d)", damping)}
+    assert dampings == pytest.approx({"record 1": 14.0, "record 2": 26.0, "record 3": 20.0}, rel=0.005)
+
+
+def test_terms_of_records_are_differences_to_their_mean(machine: Machine) -> None:
+    rows = prepare(machine, recorded(machine, 4, {}, 0.1))
+    count = len(rows.time)
+    sliding = np.sign(rows.velocity)
+    assert record_terms(rows, [count], sliding) == ()
+    lengths = [count // 3, count // 3, count - 2 * (count // 3)]
+    terms = record_terms(rows, lengths, sliding)
+    assert tuple(term.name for term in terms) == OF_RECORD
+    sizes = record_sizes(np.array([0.5, -0.2]))
+    assert sizes == pytest.approx([0.5, -0.2, -0.3])
+    each = np.repeat(sizes, lengths)
+    assert terms[0].columns @ sizes[:2] == pytest.approx(each)
+    assert terms[1].columns @ sizes[:2] == pytest.approx(each * sliding)
+
+
+def test_a_level_of_a_record_leaves_stiffness_as_it_is(machine: Machine) -> None:
+    rows = prepare(machine, recorded(machine, 5, {}, 0.1))
+    motion = filter_motion(rows)
+    records = Records(machine, ("a", "b"), rows, (motion, motion), (motion, motion), 0.0, ())
+    scaled = scale_levels(scale_levels(records, [1.0, 3.0]), [1.0, 1.0])
+    assert [m.scale for m in scaled.coarse] == [m.scale for m in scaled.fine] == pytest.approx([0.5, 1.5])
+    distance, count = 2e-4, motion.rows
+    (both,) = run_elements(scaled.coarse, "switching", np.array([distance]), NO_RISE)
+    for k, factor in enumerate((0.5, 1.5)):
+        (alone,) = run_elements([motion], "switching", np.array([factor * distance]), NO_RISE)
+        part = slice(k * count, (k + 1) * count)
+        assert both.chi[part] == pytest.approx(factor * alone.chi)
+        assert both.jacobian[part] == pytest.approx(factor * alone.jacobian)
