@@ -11,8 +11,12 @@ from scipy.signal import lfilter
 
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.diagnosis.causes import measure_causes
+from sgms_mhe.diagnosis.final_fit import make_final_fit
 from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.diagnosis.laws import make_laws
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect
+from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -173,3 +177,21 @@ def test_a_gap_is_as_long_as_it_is_found(gap: float, seed: int, style: str) -> N
     subject = Subject.of(machine, prepare(machine, run.log))
     found = fit_model(subject, [CandidateEffect("backlash", {"gap_m": 1.1 * gap})], refitted=())
     assert found.effects[0].parameters["gap_m"] == pytest.approx(gap, rel=0.05)
+
+
+def test_a_number_that_a_bound_stops_has_no_interval() -> None:
+    """A force later than any drive's: the search ends at the longest delay, which is not the axis's."""
+    machine = load_machine("etel_xy")
+    log = simulate_axis(machine, draw_motion("strokes", machine, 3.0, np.random.default_rng(2)), AxisConfig(seed=2)).log
+    late = int(0.15 * log.rate)
+    shifted = replace(log, force_N=np.concatenate((np.full(late, log.force_N[0]), log.force_N[:-late])))
+    recording = prepare(machine, shifted)
+    subject = Subject.of(machine, recording)
+    nominal = fit_model(subject, (), refitted=())
+    laws = make_laws(machine, recording, nominal.rms)
+    fit = fit_model(laws.chosen, [CandidateEffect("force_delay", {"delay_s": 0.05})], refitted=())
+    selection = Selection(fit, (), (), (), {}, {}, fit)
+    final = make_final_fit(recording, nominal, laws, selection)
+    (cause,) = measure_causes(final, final.selection, final.selection.fit).values()
+    assert cause.vague == ("delay_s",)
+    assert np.isnan(cause.std["delay_s"])

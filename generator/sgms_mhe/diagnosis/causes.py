@@ -76,8 +76,9 @@ def measure_causes(final: FinalFit, selection: Selection, blind: Fit) -> dict[Pa
             label=name_cause(fit, group),
             parameters=report_values(fit, group),
             std={
-                report_name(group, c.name): s
-                for c, s in zip(fit.model.columns, deviations, strict=True)
+                # Of a number that a bound stops, the record says that it is beyond.
+                report_name(group, c.name): math.nan if stops else s
+                for c, s, stops in zip(fit.model.columns, deviations, fit.free & ~fit.interior, strict=True)
                 if c.group == group
             },
             nominal=_file_values(fit, group),
