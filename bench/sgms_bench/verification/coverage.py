@@ -16,10 +16,16 @@ import numpy as np
 
 from sgms_bench import C_DIR
 from sgms_bench.verification.gaps import GAPS, Gap
-from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, require, run_or_raise
-from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_bench.verification.outcome import (
+    AbsentError,
+    CheckOutcome,
+    definitions,
+    measure_packages,
+    require,
+    run_or_raise,
+)
+from sgms_mhe.emission.package import Package, write_package
 from sgms_mhe.machine import Machine
-from sgms_mhe.support.errors import BuildError
 
 # Without inlining every branch of a function stands for all of its callers, once.
 FLAGS: Final = ("-std=c99", "-O0", "-ffp-contract=off", "--coverage", "-fno-inline")
@@ -68,13 +74,11 @@ def check_coverage(machines: Sequence[Machine], progress: Callable[[str], None])
         require("gcc", "gcov")
     except AbsentError as absent:
         return CheckOutcome(check, "", skipped=str(absent))
-    found = []
-    for machine in machines:
-        try:
-            found.append(measure(emit_package(machine)))
-        except BuildError as error:
-            return CheckOutcome(check, f"nothing beyond {machine.name}", (f"{machine.name}: {error}",))
-        progress(f"{check}: {machine.name}, {found[-1].lines} lines, {found[-1].branches} branches")
+    found = measure_packages(
+        check, machines, measure, progress, lambda of: f", {of.lines} lines, {of.branches} branches"
+    )
+    if isinstance(found, CheckOutcome):
+        return found
     lines, branches = (np.sum([getattr(of, name) for of in found], axis=0) for name in ("lines", "branches"))
     left = find_gaps(found)
     explained = {place: reason_of(place) for place in left}
@@ -158,7 +162,7 @@ def _coverage(content: Mapping[str, Any], folder: Path, name: str) -> Coverage:
     for line, text in _lines(content, folder):
         function = line.get("function_name", "")
         own = (line["count"], *(branch["count"] for branch in line["branches"]))
-        place = SourceLine(_common(function, name), _common(text, name), seen[function, text], len(own) - 1)
+        place = SourceLine(common_code(function, name), common_code(text, name), seen[function, text], len(own) - 1)
         seen[function, text] += 1
         counts[place] = tuple(map(max, counts.get(place, own), own))  # groups of blocks have the same function
     return Coverage(counts)
@@ -174,7 +178,7 @@ def _lines(content: Mapping[str, Any], folder: Path) -> Iterator[tuple[Mapping[s
         yield from ((line, texts[line["line_number"] - 1].strip()) for line in file["lines"])
 
 
-def _common(text: str, name: str) -> str:
+def common_code(text: str, name: str) -> str:
     """Code as packages of all names, groups of blocks and precisions have it."""
     text = re.sub(rf"\b{name.upper()}_", "NAME_", re.sub(rf"\b{name}_", "NAME_", text))
     text = re.sub(r"\b(?:element|block\d+)_", "GROUP_", re.sub(r"\b(?:ELEMENT|BLOCK\d+)_", "GROUP_", text))

@@ -13,10 +13,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from sgms_bench.verification.coverage import list_programs
-from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, run, run_or_raise
-from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_bench.verification.outcome import (
+    AbsentError,
+    CheckOutcome,
+    definitions,
+    measure_packages,
+    run,
+    run_or_raise,
+)
+from sgms_mhe.emission.package import Package, write_package
 from sgms_mhe.machine import Machine
-from sgms_mhe.support.errors import BuildError
 
 VERSIONS: Final = ("", "-18", "-19", "-20", "-21")
 """Of clang and its tools, as Debian names them; 18 is the first that counts conditions."""
@@ -60,13 +66,12 @@ def check_conditions(machines: Sequence[Machine], progress: Callable[[str], None
         version = find_version()
     except AbsentError as absent:
         return CheckOutcome(check, "", skipped=str(absent))
+    measured = measure_packages(check, machines, lambda package: measure(package, version), progress)
+    if isinstance(measured, CheckOutcome):
+        return measured
     found: Conditions = {}
-    for machine in machines:
-        try:
-            merge(found, measure(emit_package(machine), version))
-        except BuildError as error:
-            return CheckOutcome(check, f"nothing beyond {machine.name}", (f"{machine.name}: {error}",))
-        progress(f"{check}: {machine.name}")
+    for of_package in measured:
+        merge(found, of_package)
     deciding, count = sum(map(sum, found.values())), sum(map(len, found.values()))
     tried = (
         f"{deciding} of {count} conditions in {len(found)} decisions of {len(machines)} packages; "

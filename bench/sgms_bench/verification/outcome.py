@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
-from sgms_mhe.emission.package import Package
+from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.host.compiled import replay_definitions
+from sgms_mhe.machine import Machine
 from sgms_mhe.support.errors import BuildError
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,32 @@ def require(*tools: str) -> None:
     absent = [tool for tool in tools if shutil.which(tool) is None]
     if absent:
         raise AbsentError(f"tool absent: {', '.join(absent)}")
+
+
+def measure_packages(
+    check: str,
+    machines: Sequence[Machine],
+    measure: Callable[[Package], T],
+    progress: Callable[[str], None],
+    told: Callable[[T], str] = lambda _: "",
+) -> list[T] | CheckOutcome:
+    """Measure the package of each machine; the outcome of the check where one does not compile, or fails.
+
+    Args:
+        check: its name.
+        machines: of the packages.
+        measure: of one package; raises BuildError.
+        progress: called after every package.
+        told: what it says of what was measured.
+    """
+    found = []
+    for machine in machines:
+        try:
+            found.append(measure(emit_package(machine)))
+        except BuildError as error:
+            return CheckOutcome(check, f"nothing beyond {machine.name}", (f"{machine.name}: {error}",))
+        progress(f"{check}: {machine.name}{told(found[-1])}")
+    return found
 
 
 def definitions(package: Package) -> list[str]:
