@@ -56,6 +56,12 @@ def broken(package: Package, ending: str, before: str, after: str) -> Package:
     return replace(package, files={**package.files, file: package.files[file].replace(before, after, 1)})
 
 
+def test_every_effect_of_a_specimen_has_a_size() -> None:
+    """One of no size would be code that changes no number: whatever was wrong with it, nobody would see."""
+    sizes = [next(iter(effect.parameters.values())) for machine in specimens() for effect in machine.effects]
+    assert len(sizes) >= 13 and all(sizes)
+
+
 # --- random calls ----------------------------------------------------------------------------------------------------
 
 

@@ -19,6 +19,9 @@ enum {
 #if WINDOW
     CURSOR,
 #endif
+#if RESUMES
+    BACK,
+#endif
 #if HAS_INNER
     ARRIVED,
     FOLDED,
@@ -62,6 +65,11 @@ static inline void damage(machine *axis, int which, int32_t value)
 #if WINDOW
     case CURSOR:
         axis->sweep.cursor = value;
+        break;
+#endif
+#if RESUMES
+    case BACK:
+        axis->sweep.back = value;
         break;
 #endif
 #if HAS_INNER

@@ -22,6 +22,7 @@ static uint32_t noise = 1;
 static double position, velocity, friction; /* of the axis, m, m/s, N */
 static double fed;                          /* N, by the last sample */
 static int is_late;                         /* the slower task does not come */
+static double share = 1.0;                  /* of the friction's usual level */
 static int obeys_model;                     /* friction is what was fed forward, otherwise one that parameters chase */
 
 /* --- digest ------------------------------------------------------------------------------------------------------ */
@@ -80,6 +81,12 @@ static void take_estimate(const machine *axis)
         take_number(e.parameter[i]);
         take_number(e.deviation[i]);
     }
+    take_number(e.innovation);
+    take_number(e.test_ratio);
+    take_number(e.noise_scale);
+    digest_numbers(&e.update, sizeof e.update, 1);
+    digest_numbers(&e.age, sizeof e.age, 1);
+    digest_numbers(&e.numeric, sizeof e.numeric, 1);
     take_status(e.status);
     take_number(CALL(share)(axis));
 }
@@ -122,7 +129,7 @@ static double next_noise(void)
 /* So many samples at an acceleration, with a friction that turns round over some distance. */
 static void move(double acceleration, long count)
 {
-    const double level = 8.0 * (double)MEASUREMENT_SD, reach = 100.0 * (double)HOLD_PATH;
+    const double level = share * 8.0 * (double)MEASUREMENT_SD, reach = 100.0 * (double)HOLD_PATH;
     for (long k = 0; k < count; k++) {
         double way;
         velocity += acceleration * (double)SAMPLE_TIME;
@@ -170,6 +177,10 @@ static void stroke(double speed, double distance)
 /* Calls before there is anything to do, and conversions. */
 static void begin(void)
 {
+    for (unsigned i = 0; i < sizeof by_tick; i++) { /* of any content */
+        ((unsigned char *)&by_tick)[i] = 0x5a;
+        ((unsigned char *)&by_tasks)[i] = 0x5a;
+    }
     CALL(init)(&by_tick);
     CALL(init)(&by_tasks);
     CALL(prepare)(&by_tasks);
@@ -202,6 +213,19 @@ static void glide(void)
 #endif
 }
 
+#if SPREADS
+/* To and fro over some blocks of intervals, with a friction that is another one in each: parameters wander farther than
+ * they take from their variances. */
+static void wander(void)
+{
+    for (int k = 0; k < 60; k++) {
+        share = k / 12 % 2 == 0 ? 0.5 : 1.5;
+        stroke(0.01 * (double)MAX_VELOCITY, 0.01 * (double)MAX_VELOCITY * (double)SAMPLE_TIME * (double)SAMPLES);
+    }
+    share = 1.0;
+}
+#endif
+
 /* Loops of growing size through presliding, then moves up to the largest speed. */
 static void go_round(void)
 {
@@ -232,6 +256,20 @@ static void lose_readings(void)
             }
             stroke(0.2 * (double)MAX_VELOCITY, 200.0 * (double)HOLD_PATH);
         }
+    }
+}
+
+/* A reading that is none, of either channel, at every place of an interval. */
+static void lose_one(void)
+{
+    const double zero = position - position;
+    const long between = (SETTLE / SAMPLES + 1L) * SAMPLES;
+    velocity = 0.1 * (double)MAX_VELOCITY;
+    for (int place = 0; place < SAMPLES; place++) {
+        const machine_position none = CALL(position_from_metres)(zero / zero);
+        const machine_position good = CALL(position_from_metres)(position);
+        take_sample(place % 2 ? none : good, place % 2 ? (machine_real)1 : (machine_real)(zero / zero));
+        move(0.0, between);
     }
 }
 
@@ -285,7 +323,7 @@ static void insert_none(void)
         machine_signals signals = {
             (machine_real)0, (machine_real)0, (machine_real)0, (machine_real)1, (machine_real)1, 1, (machine_real)0};
         const machine_real none = (machine_real)1e30 * (machine_real)(which % 2 ? 1e30 : 0);
-        signals.velocity = which == 1 ? none : signals.velocity;
+        signals.velocity = which == 1 ? none : (machine_real)(which == 0 ? 0.1 : 0.0) * MAX_VELOCITY;
         signals.position = which == 2 ? (machine_real)4.5e6 : signals.position;
         signals.acceleration = which == 3 ? none : signals.acceleration;
         signals.force = which == 4 ? (machine_real)-2e9 : signals.force;
@@ -430,6 +468,7 @@ static void save_and_load(void)
         load_sealed(&saved, word, UINT32_C(0x7ff80000)); /* no number */
         load_sealed(&saved, word, UINT32_C(0x47f80000)); /* beyond */
         load_sealed(&saved, word, UINT32_C(0x7f000000)); /* a number, not its square */
+        load_sealed(&saved, word, UINT32_C(0x3f000000)); /* less than one */
         load_sealed(&saved, word, UINT32_C(0x1ed00000)); /* nor the inverse of its square */
         load_sealed(&saved, word, 0);
     }
@@ -537,7 +576,11 @@ static void exercise(void)
     stand_and_wait(100);
     obeys_model = 0;
     go_round();
+#if SPREADS
+    wander();
+#endif
     lose_readings();
+    lose_one();
     be_late();
     velocity = 1.5 * (double)MAX_VELOCITY;
     move(0.0, SAMPLES + 5L);

@@ -32,7 +32,6 @@ REQUIRED: Final[Mapping[str, str]] = {
 ADVISORY: Final[Mapping[str, str]] = {
     "2.4": "false: enumerations without a tag",
     "2.5": "macros for the application, and of a header that all packages share",
-    "2.7": "arguments of functions that are alike for all groups of blocks",
     "8.7": "functions that the application calls",
     "8.9": "tables stand at the top of a file, beside their description",
     "10.5": "a comparison as a mask of bits or as a count of 0 or 1, without a branch",

@@ -86,6 +86,7 @@ def definitions(package: Package) -> list[str]:
         "DRIFTS": "drift_sd[" in config,
         "HAS_ORIGIN": f"{name}_set_origin(" in header,
         "SPREADS": "real spread[" in header,
+        "RESUMES": "int32_t back;" in header,
         "HAS_INNER": "int32_t folded" in header,
         "HAS_CHOSEN": "int32_t slot;" in header,
     }

@@ -17,6 +17,8 @@ BELIEVING: Final = {"noise": {"self_scaling": False}}
 """Of [estimator]: every reading is believed, so that wild ones get as far as they can."""
 COMPENSATED: Final = {"compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6, "ramp": 0.01}}
 
+AGEING: Final = {"name": "dwell_dependence", "ratio": 0.3, "time_constant_s": 0.05}
+
 
 def _merge(substeps: int, **more: Any) -> dict[str, Any]:
     return {"sampling": {"integrator": {"substeps": substeps}}, **more}
@@ -41,12 +43,12 @@ SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
         4,
         estimator={"relinearise": "auto"},
         effects=[
-            {"name": "dwell_dependence"},
-            {"name": "hose_hysteresis", "force_N": 0.8},
+            AGEING,
+            {"name": "hose_hysteresis", "stiffness_N_m": 800.0, "force_N": 0.8},
             {"name": "backlash", "gap_m": 2e-5},
         ],
     ),
-    "levels": {"effects": [{"name": "dwell_dependence"}, {"name": "frictional_lag"}], **COMPENSATED},
+    "levels": {"effects": [AGEING, {"name": "frictional_lag", "time_constant_s": 0.01}], **COMPENSATED},
     "signals": {
         "effects": [
             {"name": "force_ripple", "amplitude_N": 0.6, "pitch_m": 0.004},
@@ -76,7 +78,7 @@ SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
     "switching_merged": {"friction": {"law": "switching"}, **_merge(4, estimator=BELIEVING)},
     "switching_levels": {
         "friction": {"law": "switching"},
-        "effects": [{"name": "dwell_dependence"}, {"name": "encoder_periodic_error", "amplitude_m": 5e-7}],
+        "effects": [AGEING, {"name": "encoder_periodic_error", "amplitude_m": 5e-7}],
         **_merge(4, estimator={"relinearise": "auto"}),
     },
 }
