@@ -6,10 +6,23 @@ import math
 import re
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
+from sgms_bench.verification import mutation
 from sgms_bench.verification.faults import FAULTS, Fault
-from sgms_bench.verification.mutation import Campaign, Verdict, check_self_test, draw_mutants, judge_campaign
+from sgms_bench.verification.mutants import Mutant, draw_mutants
+from sgms_bench.verification.mutation import (
+    REPLAYED,
+    Campaign,
+    Verdict,
+    check_self_test,
+    judge_faults,
+    judge_mutants,
+    record_log,
+)
+from sgms_bench.verification.specimens import specimen
+from sgms_bench.verification.survivors import SURVIVORS, is_explained
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import Package, emit_package
 
@@ -36,7 +49,7 @@ def test_faults_are_in_the_code_once(package: Package) -> None:
 
 
 def test_fault_without_effect_counts_for_nothing(package: Package, campaign: Campaign, require_tool: Tool) -> None:
-    """The same bytes, a function that nothing calls; and one that the self-test cannot see: a text."""
+    """The same bytes, a function that nothing calls; and one that neither self-test nor replay can see: a text."""
     require_tool("gcc")
     source = package.files["etel_xy.c"]
     more = "\nint etel_xy_more(void);\nint etel_xy_more(void)\n{\n    return 1;\n}\n"
@@ -53,13 +66,15 @@ def test_fault_is_noticed(fault: Fault, package: Package, campaign: Campaign, re
 
 
 @pytest.mark.slow
-def test_faults_are_noticed(require_tool: Tool) -> None:
+def test_faults_are_noticed(require_tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
     """All faults by hand, and mutants: as many of these few as chance lets be of the many that `make verify` draws."""
     require_tool("gcc")
-    by_hand, at_random = check_self_test(40, 7, lambda _: None)
+    monkeypatch.setattr(mutation, "specimens", lambda: map(specimen, ("ekf", "switching")))
+    by_hand, at_random, together = check_self_test(36, 7, lambda _: None)
     assert by_hand.failures == () and by_hand.tried.startswith(f"{len(FAULTS)} faults, {len(FAULTS)} noticed")
-    counted, noticed = map(int, re.findall(r"(\d+) (?:faults|noticed)", at_random.tried))
+    counted, noticed = map(int, re.findall(r"(\d+) (?:mutants|noticed)", at_random.tried))
     assert noticed > 0.8 * counted - 2.0 * math.sqrt(0.8 * 0.2 * counted), at_random.failures
+    assert re.match(rf"{counted} mutants that are not equivalent, ", together.tried) and len(together.failures) <= 4
 
 
 def test_mutants_are_those_of_the_seed(package: Package) -> None:
@@ -70,10 +85,35 @@ def test_mutants_are_those_of_the_seed(package: Package) -> None:
 
 
 def test_campaign_fails_where_too_few_are_noticed() -> None:
-    kinds = (Verdict.NOTICED, Verdict.MISSED, Verdict.UNCHANGED, Verdict.NOTICED, Verdict.SAME)
-    verdicts = list(zip("abcde", kinds, strict=True))
-    assert judge_campaign("t", verdicts, 0.5).failures == ()
-    assert judge_campaign("t", verdicts, 0.9).failures == ("b",)
-    assert (
-        judge_campaign("t", verdicts, 0.5).tried == "3 faults, 2 noticed; 1 change no number of the exercise, 1 no byte"
-    )
+    assert judge_faults("t", [("a", Verdict.NOTICED)] * 19 + [("b", Verdict.MISSED)]).failures == ()
+    few = judge_faults("t", [("a", Verdict.NOTICED)] * 18 + [("b", Verdict.REPLAYED), ("c", Verdict.UNCHANGED)])
+    assert few.failures == ("b", "c") and few.tried == "20 faults, 18 noticed"
+
+
+def test_survivors_count_unless_they_have_a_reason() -> None:
+    """Of ten mutants the compiler knows two; one is equivalent, one is not noticed by anyone."""
+
+    def mutant(function: str, code: str) -> Mutant:
+        return Mutant("own.c", 7, 0, function, code, " < ", " <= ")
+
+    plain, equal = mutant("update", "a < b"), mutant("sgms_flow_place_of_s", "s < flow_edge[j + 1]")
+    assert is_explained(equal) and not is_explained(plain)
+    verdicts = [(plain, Verdict.NOTICED)] * 5 + [(plain, Verdict.SAME)] * 2
+    verdicts += [(plain, Verdict.REPLAYED), (plain, Verdict.UNCHANGED), (equal, Verdict.UNCHANGED)]
+    alone, together = judge_mutants(("alone", "together"), verdicts)
+    assert alone.tried == "7 mutants that are not equivalent, 5 noticed"
+    assert alone.failures == ("own.c:7: update: a < b: < -> <=",) * 2
+    assert together.tried.startswith("7 mutants that are not equivalent, 6 noticed: 5 by the self-test, 1 more by the")
+    assert together.tried.endswith("1 equivalent for reasons of the list") and len(together.failures) == 1
+    explained = judge_mutants(("alone", "together"), [(plain, Verdict.NOTICED)] * 4 + [(equal, Verdict.UNCHANGED)])
+    assert [outcome.failures for outcome in explained] == [(), ()]
+
+
+def test_every_survivor_has_a_reason() -> None:
+    assert all(len(survivor.reason.split()) >= 5 for survivor in SURVIVORS)
+
+
+def test_replayed_log_has_what_it_is_for(package: Package) -> None:
+    log, samples = record_log(package), package.machine.sampling.samples_per_update
+    assert len(log) == REPLAYED * samples + 1 > 100 * samples
+    assert np.isnan(log.position_m).sum() == np.isnan(log.force_N).sum() == 1

@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--calls", type=float, default=3e5, help="random calls, in all (1e8: an hour or more)")
     parser.add_argument("--machines", type=int, default=6, help="random machines")
-    parser.add_argument("--mutants", type=int, default=300, help="mutants of emitted C (300: ten minutes)")
+    parser.add_argument("--mutants", type=int, default=225, help="mutants of emitted C (225: ten minutes)")
     parser.add_argument("--flips", type=int, default=20_000, help="bits to flip, in all (20 000: five minutes)")
     parser.add_argument("--logs", type=int, default=10_000, help="mutated logs (10 000: an hour)")
     parser.add_argument("--seed", type=int, default=0, help="of the first of them")

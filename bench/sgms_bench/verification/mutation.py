@@ -1,95 +1,143 @@
-"""Faults in emitted C, by hand and at random: how many the package's self-test notices."""
+"""Faults in emitted C, by hand and at random: how many self-test, replay and exercise notice."""
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from sgms_bench import C_DIR
+from sgms_bench.motions import timed_motion
 from sgms_bench.verification.faults import FAULTS
+from sgms_bench.verification.mutants import Mutant, draw_mutants
 from sgms_bench.verification.outcome import AbsentError, CheckOutcome, Run, definitions, require, run
+from sgms_bench.verification.specimens import specimens
+from sgms_bench.verification.survivors import is_explained
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.signals.logs import Log, write_log
 
 Progress = Callable[[str], None]
 
 BY_HAND_NOTICED: Final = 0.95
 AT_RANDOM_NOTICED: Final = 0.8
-SECONDS: Final = 20.0
-"""Of one run: one that does not come back is noticed by a watchdog."""
+ALL_NOTICED: Final = 0.98
+"""Of mutants by one judge or another."""
+SECONDS: Final = 20
+"""Of the processor, of one run: one that does not come back is noticed by a watchdog."""
+REPLAYED: Final = 300
+"""Updates of the log that is replayed."""
+CHECKED: Final = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 FLAGS: Final = ("-std=c99", "-O1", "-ffp-contract=off", "-w")
 
 
 def check_self_test(mutants: int, seed: int, progress: Progress) -> list[CheckOutcome]:
-    """Check that the self-test of `etel_xy` notices the faults by hand, and most mutants.
+    """Check that the self-test notices faults by hand, and self-test, replay and exercise mutants, all but a few.
+
+    The faults are of `etel_xy`; the mutants of it and of the specimens.
 
     Args:
-        mutants: how many at random.
+        mutants: how many at random, in all; of each package as many.
         seed: of them.
-        progress: called after every tenth fault.
+        progress: called after every tenth fault by hand, and with every mutant that the self-test does not notice.
     """
-    titles = "self-test: faults by hand", "self-test: mutants at random"
+    titles = "self-test: faults by hand", "self-test: mutants at random", "self-test, replay, exercise: mutants"
     try:
-        require("gcc")
+        require("gcc", "prlimit")
     except AbsentError as absent:
         return [CheckOutcome(title, "", skipped=str(absent)) for title in titles]
-    package = emit_package(load_machine("etel_xy"))
-    by_hand = [(fault.what, fault.spoil(dict(package.files), "etel_xy")) for fault in FAULTS]
-    drawn = [(f"{mutant}", mutant.spoil(package)) for mutant in draw_mutants(package, mutants, seed)]
-    with tempfile.TemporaryDirectory() as scratch:
-        campaign = Campaign(package, Path(scratch))
-
-        def outcome(title: str, faults: Sequence[tuple[str, Mapping[str, str]]], wanted: float) -> CheckOutcome:
-            verdicts = []
-            for k, (what, files) in enumerate(faults, 1):
-                verdicts.append((what, campaign.judge(files)))
-                if k % 10 == 0:
-                    progress(f"{title}: {k}")
-            return judge_campaign(title, verdicts, wanted)
-
-        return [outcome(titles[0], by_hand, BY_HAND_NOTICED), outcome(titles[1], drawn, AT_RANDOM_NOTICED)]
+    machines = [load_machine("etel_xy"), *specimens()]
+    by_hand: list[tuple[str, Verdict]] = []
+    at_random: list[tuple[Mutant, Verdict]] = []
+    for k, machine in enumerate(machines):
+        package = emit_package(machine)
+        count = mutants // len(machines) + (k < mutants % len(machines))
+        with tempfile.TemporaryDirectory() as scratch:
+            campaign = Campaign(package, Path(scratch))
+            for fault in FAULTS if k == 0 else ():
+                by_hand.append((fault.what, campaign.judge(fault.spoil(dict(package.files), machine.name))))
+                if len(by_hand) % 10 == 0:
+                    progress(f"{titles[0]}: {len(by_hand)}")
+            for mutant in draw_mutants(package, count, seed):
+                files = mutant.spoil(package)
+                verdict = campaign.judge(files)
+                if verdict is Verdict.UNCHANGED and not is_explained(mutant) and not campaign.is_within_objects(files):
+                    verdict = Verdict.MISSED
+                at_random.append((mutant, verdict))
+                if verdict is not Verdict.NOTICED:
+                    progress(f"{machine.name}: {verdict.name}: {mutant}")
+        progress(f"{titles[1]}: {machine.name}, {len(at_random)} in all")
+    return [judge_faults(titles[0], by_hand), *judge_mutants(titles[1:], at_random)]
 
 
 class Verdict(Enum):
     """Outcome of a fault in a package: what notices it."""
 
     NOTICED = "by the self-test"
-    MISSED = "the exercise of all calls returns other numbers; the self-test does not fail"
-    UNCHANGED = "no number that the exercise returns is another one: equivalent, or beyond what it does"
+    REPLAYED = "a log gives other estimates; the self-test does not fail"
+    MISSED = "the exercise of all calls returns other numbers, or leaves an object; self-test and replay do not"
+    UNCHANGED = "no number that they return is another one: equivalent, or beyond what they do"
     SAME = "compiled to the same bytes, or not at all"
 
 
-def judge_campaign(title: str, verdicts: Sequence[tuple[str, Verdict]], wanted: float) -> CheckOutcome:
-    """Outcome of a campaign: it fails where less than the wanted share is noticed; then every survivor is named.
-
-    The share is of faults that self-test or exercise see; those that neither sees are counted beside it, as they may be
-    equivalent and may not.
+def judge_faults(title: str, verdicts: Sequence[tuple[str, Verdict]]) -> CheckOutcome:
+    """Outcome of faults that change what a package does; where too few are noticed all others are named.
 
     Args:
         title: of the check.
         verdicts: of each fault.
-        wanted: share to be noticed.
     """
-    count = Counter(verdict for _, verdict in verdicts)
-    survivors = tuple(what for what, verdict in verdicts if verdict is Verdict.MISSED)
-    seen = count[Verdict.NOTICED] + len(survivors)
-    tried = (
-        f"{seen} faults, {count[Verdict.NOTICED]} noticed; {count[Verdict.UNCHANGED]} change no number of the "
-        f"exercise, {count[Verdict.SAME]} no byte"
-    )
-    return CheckOutcome(title, tried, survivors if len(survivors) > (1.0 - wanted) * seen else ())
+    survivors = tuple(what for what, verdict in verdicts if verdict is not Verdict.NOTICED)
+    tried = f"{len(verdicts)} faults, {len(verdicts) - len(survivors)} noticed"
+    return CheckOutcome(title, tried, survivors if len(survivors) > (1.0 - BY_HAND_NOTICED) * len(verdicts) else ())
+
+
+def judge_mutants(titles: Sequence[str], verdicts: Iterable[tuple[Mutant, Verdict]]) -> list[CheckOutcome]:
+    """Outcomes of mutants: of the self-test alone, and of all judges together.
+
+    A mutant that none of them notices counts as one that ought to be, unless the list of survivors has a reason why it
+    is equivalent. One that the compiler makes nothing else of counts for nothing.
+
+    Args:
+        titles: of the two checks.
+        verdicts: of each mutant.
+    """
+    known = [(mutant, verdict) for mutant, verdict in verdicts if verdict is not Verdict.SAME]
+    count = Counter(verdict for _, verdict in known)
+    unseen = [mutant for mutant, verdict in known if verdict is Verdict.UNCHANGED]
+    unexplained = tuple(f"{mutant}" for mutant in unseen if not is_explained(mutant))
+    real = len(known) - len(unseen) + len(unexplained)
+    missed = tuple(f"{m}" for m, verdict in known if verdict in (Verdict.REPLAYED, Verdict.MISSED)) + unexplained
+    told = [
+        f"{real} mutants that are not equivalent, {count[Verdict.NOTICED]} noticed",
+        f"{real} mutants that are not equivalent, {real - len(unexplained)} noticed: {count[Verdict.NOTICED]} by the "
+        f"self-test, {count[Verdict.REPLAYED]} more by the replay, {count[Verdict.MISSED]} by the exercise alone; "
+        f"{len(unseen) - len(unexplained)} equivalent for reasons of the list",
+    ]
+    limits = (AT_RANDOM_NOTICED, ALL_NOTICED)
+    return [
+        CheckOutcome(title, tried, left if len(left) > (1.0 - wanted) * real else ())
+        for title, tried, left, wanted in zip(titles, told, (missed, unexplained), limits, strict=True)
+    ]
+
+
+def record_log(package: Package) -> Log:
+    """A log of a package's machine in closed loop: loops, moves, standstill, and some readings that are missing."""
+    machine = package.machine
+    motion = timed_motion(machine, "mixed", REPLAYED)
+    log = simulate_axis(machine, motion, AxisConfig(seed=1), scale={"coulomb": 1.1}, truth=False).log
+    samples = machine.sampling.samples_per_update
+    log.position_m[150 * samples + 3] = log.force_N[200 * samples + 5] = float("nan")
+    return log
 
 
 class Campaign:
-    """Programs of the self-test of one package, whose other files may have a fault.
+    """Programs of the judges of one package, whose other files may have a fault.
 
     Args:
         package: with its self-test.
@@ -97,39 +145,84 @@ class Campaign:
     """
 
     def __init__(self, package: Package, folder: Path) -> None:
-        self._name, self._folder = package.machine.name, folder
+        self._name, self._folder, self._files = package.machine.name, folder, package.files
+        self._definitions = definitions(package)
+        self._log = folder / "log.csv"
+        write_log(self._log, record_log(package))
+        self._parts: dict[Path, tuple[Path, set[str]]] = {}
         self._good = folder / "good"
         good = self._object(self._good, package.files)
         if good is None:
             raise ValueError("the package does not compile")
         self._right = good.read_bytes()
-        self._definitions = definitions(package)
+        for source in (C_DIR / "harness.c", C_DIR / "exercise.c", self._good / f"{self._name}_selftest.c"):
+            self._keep_part(source)
         self._digest = self._exercise(self._good, good)
-        self._main = folder / "main.c"
-        name = self._name
-        self._main.write_text(f'#include "{name}.h"\nint main(void)\n{{\n    return {name}_selftest() != 0;\n}}\n')
+        self._estimates = self._replay(self._good, good)
+        found = self._self_test(self._good, good), self._digest, self._estimates
+        if any(of.code != 0 for of in found):
+            raise ValueError(f"the package fails: {[of.output[:300] for of in found]}")
 
     def judge(self, files: Mapping[str, str]) -> Verdict:
-        """Return what self-test and exercise say of other files."""
+        """Return what self-test, replay and exercise say of other files."""
         with tempfile.TemporaryDirectory(dir=self._folder) as scratch:
             bad = Path(scratch) / "bad"
             spoilt = self._object(bad, files)
             if spoilt is None or spoilt.read_bytes() == self._right:
                 return Verdict.SAME
-            program, test = bad / "program", bad / f"{self._name}_selftest.c"
-            made = run(["gcc", *FLAGS, f"-I{bad}", self._main, test, spoilt, "-o", program])
-            if made.code != 0:
-                return Verdict.SAME
-            if run([program], seconds=SECONDS).code != 0:
+            if self._self_test(bad, spoilt).code != 0:
                 return Verdict.NOTICED
+            if self._replay(bad, spoilt) != self._estimates:
+                return Verdict.REPLAYED
             return Verdict.UNCHANGED if self._exercise(bad, spoilt) == self._digest else Verdict.MISSED
+
+    def is_within_objects(self, files: Mapping[str, str]) -> bool:
+        """Return whether the exercise of other files comes to the same with every access checked."""
+        with tempfile.TemporaryDirectory(dir=self._folder) as scratch:
+            folder = Path(scratch) / "checked"
+            self._object(folder, files)
+            program, sources = folder / "program", [C_DIR / "exercise.c", folder / f"{self._name}.c"]
+            run(["gcc", *FLAGS, *CHECKED, *self._definitions, f"-I{folder}", *sources, "-o", program, "-lm"])
+            return run(["prlimit", f"--cpu={5 * SECONDS}", program]) == self._digest
+
+    def _self_test(self, folder: Path, compiled: Path) -> Run:
+        """Outcome of the package's self-test."""
+        parts = [C_DIR / "harness.c", self._good / f"{self._name}_selftest.c"]
+        return self._run(folder, compiled, parts, ["--selftest"])
+
+    def _replay(self, folder: Path, compiled: Path) -> Run:
+        """Estimates of the log."""
+        parts = [C_DIR / "harness.c", self._good / f"{self._name}_selftest.c"]
+        return self._run(folder, compiled, parts, ["--log", self._log])
 
     def _exercise(self, folder: Path, compiled: Path) -> Run:
         """Outcome of the exercise of all calls: a digest of the bits of what they return."""
-        program = folder / "exercise"
-        options = [*FLAGS, *self._definitions, f"-I{folder}"]
-        made = run(["gcc", *options, C_DIR / "exercise.c", compiled, "-o", program])
-        return run([program], seconds=SECONDS) if made.code == 0 else made
+        return self._run(folder, compiled, [C_DIR / "exercise.c"], [])
+
+    def _run(self, folder: Path, compiled: Path, parts: Sequence[Path], arguments: Sequence[str | Path]) -> Run:
+        program = folder / "program"
+        objects = [self._part(folder, part) for part in parts]
+        made = run(["gcc", *objects, compiled, "-o", program, "-lm"])
+        return run(["prlimit", f"--cpu={SECONDS}", program, *arguments]) if made.code == 0 else made
+
+    def _keep_part(self, source: Path) -> None:
+        """Compile a part of the programs with the package as it is, and note which of its files it reads."""
+        read = run(["gcc", "-MM", *self._definitions, f"-I{self._good}", source]).output
+        self._parts[source] = self._compile(self._good, source), {Path(word).name for word in read.split()}
+
+    def _part(self, folder: Path, source: Path) -> Path:
+        """A part of the programs compiled with the package in a folder; once where its files are as they are."""
+        compiled, read = self._parts[source]
+        for file in read & self._files.keys():
+            if (folder / file).read_text() != self._files[file]:
+                return self._compile(folder, folder / source.name if source.parent == self._good else source)
+        return compiled
+
+    def _compile(self, folder: Path, source: Path) -> Path:
+        compiled = folder / f"{source.stem}.o"
+        options = [*FLAGS, "-DSGMS_SELFTEST", *self._definitions, f"-I{folder}"]
+        run(["gcc", *options, "-c", source, "-o", compiled])
+        return compiled
 
     def _object(self, folder: Path, texts: Mapping[str, str]) -> Path | None:
         """The estimator's object below a folder; None where it does not compile."""
@@ -139,73 +232,3 @@ class Campaign:
                 (folder / file).write_text(text)
         made = run(["gcc", *FLAGS, "-c", f"{self._name}.c", "-o", "package.o"], folder=folder)
         return folder / "package.o" if made.code == 0 else None
-
-
-# --- mutants at random -----------------------------------------------------------------------------------------------
-
-_OPERATORS: Final = {
-    " + ": (" - ",), " - ": (" + ",), " * ": (" / ",), " / ": (" * ",),
-    " < ": (" <= ", " >= "), " > ": (" >= ", " <= "),
-    " <= ": (" < ",), " >= ": (" > ",), " == ": (" != ",), " != ": (" == ",), " && ": (" || ",), " || ": (" && ",),
-    " += ": (" -= ", " = "), " -= ": (" += ",), "++": ("--",), " ? ": (" == 0 ? ",),
-}  # fmt: skip
-_PLACE: Final = re.compile(
-    "|".join(re.escape(old) for old in sorted(_OPERATORS, key=len, reverse=True)) + r"|\b\d+\.\d+\b|\b[01]\b"
-)
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """One operator or number of a file changed.
-
-    Attributes:
-        file: name. line: number of the line. at: offset in the file.
-        old, new: text there.
-    """
-
-    file: str
-    line: int
-    at: int
-    old: str
-    new: str
-
-    def __str__(self) -> str:
-        """Return the place, and what has become of what."""
-        return f"{self.file}:{self.line}: {self.old.strip()} -> {self.new.strip()}"
-
-    def spoil(self, package: Package) -> Mapping[str, str]:
-        """Return the package's files with it."""
-        text = package.files[self.file]
-        return {**package.files, self.file: text[: self.at] + self.new + text[self.at + len(self.old) :]}
-
-
-def draw_mutants(package: Package, count: int, seed: int) -> list[Mutant]:
-    """Draw mutants of the functions of a package; every place is as likely, comments and declarations aside."""
-    random = np.random.default_rng(seed)
-    places = [
-        place for file in sorted(package.files) if _is_mutated(file) for place in _places(file, package.files[file])
-    ]
-    chosen = random.choice(len(places), size=min(count, len(places)), replace=False)
-    return [_mutant(places[k], package.files[places[k][0]], random) for k in chosen]
-
-
-def _is_mutated(file: str) -> bool:
-    return file.endswith((".c", ".h")) and "_selftest" not in file
-
-
-def _places(file: str, text: str) -> Iterator[tuple[str, int, str]]:
-    code = re.sub(r'/\*.*?\*/|^#.*?$|"[^"\n]*"', lambda m: " " * len(m[0]), text, flags=re.DOTALL | re.MULTILINE)
-    for body in re.finditer(r"^\{\n(.*?)^\}", code, re.DOTALL | re.MULTILINE):
-        for place in _PLACE.finditer(code, body.start(1), body.end(1)):
-            yield file, place.start(), place[0]
-
-
-def _mutant(place: tuple[str, int, str], text: str, random: np.random.Generator) -> Mutant:
-    file, at, old = place
-    if old in _OPERATORS:
-        new = str(random.choice(_OPERATORS[old]))
-    elif "." in old:
-        new = str(random.choice([f"({old} * 1.5)", "0.0" if float(old) else "1.0"]))
-    else:
-        new = str(1 - int(old))
-    return Mutant(file, text.count("\n", 0, at) + 1, at, old, new)

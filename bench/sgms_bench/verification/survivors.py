@@ -1,0 +1,64 @@
+"""Mutants of emitted C that no judge notices and none has to, each with the reason why."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from sgms_bench.verification.gaps import Gap
+from sgms_bench.verification.mutants import Mutant
+
+WHEN: Final = "says when work is done, not what comes out; stated work is held by tests/test_stated_work.py"
+DAMAGED: Final = "a bound that damaged memory alone goes beyond; the proof in bench/c/proof.c holds it"
+OVERWRITTEN: Final = "written once more before it is read, or never read in this package"
+EQUAL: Final = "another branch where two numbers are equal, and both come to the same there"
+ROUNDING: Final = "a bound on rounding errors: a release within it changes nothing"
+PATH: Final = "another way to the one place that is best; the number of steps has a bound of its own"
+SHORT: Final = "a way round work that changes nothing: the long way comes to the same"
+OTHER_TASK: Final = "another task comes in between two instructions; tests/test_tasks.py lets it"
+NUMBERS: Final = "numbers of IEEE 754 are here; tests/test_package.py has builds and processors without"
+ZERO: Final = "a term that is zero, or a factor that is one, in this package"
+PADDING: Final = "lanes of a vector that hold copies where one interval is integrated at a time"
+SUM: Final = "another sum of bits that tells as much of them"
+FINITE: Final = "a derivative is finite where the number itself is"
+
+SURVIVORS: Final[tuple[Gap, ...]] = (
+    Gap(r"next_cost|workload_of|units_done", r"", WHEN),
+    Gap(r"update", r"next_cost\(self\) > 0", WHEN),
+    Gap(r"sgms_place", r"most \?", DAMAGED),
+    Gap(r"\w+", r"sgms_place\(.*: (?:- -> \+|1 -> 0|\+ -> -)$", DAMAGED),
+    Gap(r"start_fresh|start_window|start_signals|start_with", r"fill\(|side = 0|version = 0|counts", OVERWRITTEN),
+    Gap(r"fold_interval", r"fill\(rows", OVERWRITTEN),
+    Gap(r"linearise_step", r"\{ 0 \}", OVERWRITTEN),
+    Gap(r"sgms_filter_disturbed", r"counts\[1\] = 0|SGMS_POSITION\) != 0", OVERWRITTEN),
+    Gap(r"sgms_filter_step", r"\(wanted & SGMS_POSITION\) != 0", OVERWRITTEN),
+    Gap(r"sgms_variances", r"variance\[c\] \+= ", OVERWRITTEN),
+    Gap(r"sgms_flow_place_of_s", r"< -> <=$", EQUAL),
+    Gap(r"GROUP_ahead_slow", r"substeps > 1", EQUAL),
+    Gap(r"take_sample", r"MAX_VELOCITY\) \{: > -> >=$", EQUAL),
+    Gap(r"sgms_metres_between", r"may_overflow = .*< -> <=$", EQUAL),
+    Gap(r"sgms_box_least_squares", r"rounding \*/: [<>] -> [<>]=$", EQUAL),
+    Gap(r"GROUP_line_of", r"sgms_copy_sign\(1\.0, .*: \* -> /$", EQUAL),
+    Gap(r"sgms_flow_\w+", r"^(?:d_\w+|slope) = \w+ \* \w+ \+ \w+;: \* -> /$", ZERO),
+    Gap(r"sgms_box_least_squares", r"blocking = move.*< -> <=$", EQUAL),
+    Gap(r"sgms_box_least_squares", r"size \+= |SGMS_ROUNDING", ROUNDING),
+    Gap(r"sgms_box_least_squares", r"step = |iteration|c = free_count - 1", PATH),
+    Gap(r"sgms_filter_step", r"m->counts\[[01]\] == [03] &&", SHORT),
+    Gap(r"sgms_filter_disturbed", r"valid = 1", SHORT),
+    Gap(r"GROUP_step|GROUP_take_kinds", r"any_more|is_cut = 1", SHORT),
+    Gap(r"GROUP_runge_kutta_line", r"substeps == 1", SHORT),
+    Gap(r"NAME_save|NAME_estimate", r"attempt", OTHER_TASK),
+    Gap(r"sgms_has_ieee_numbers", r"", NUMBERS),
+    Gap(r"start_with", r"newest_slot\(self\) \* STATES", ZERO),
+    Gap(r"lane_end|GROUP_end", r"\bblock \* |d_scale|k < GROUP_STATES|/ p->scale\[from\]", ZERO),
+    Gap(r"all_finite", r"\* 0\.0", ZERO),
+    Gap(r"GROUP_runge_kutta_line", r"LANE_STRIDE \+ l.*: \+ -> -$", PADDING),
+    Gap(r"GROUP_step", r"l < lanes", PADDING),
+    Gap(r"is_model", r"d_q", FINITE),
+    Gap(r"add_bits", r"31u \* sum", SUM),
+)
+"""All of them. A mutant that is noticed needs no reason, even where one of these would fit it."""
+
+
+def is_explained(mutant: Mutant) -> bool:
+    """Return True if an entry of the list is about a mutant: its function, its line and what has become of what."""
+    return any(survivor.explains(mutant.function, mutant.change) for survivor in SURVIVORS)
