@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import load_machine, override_machine, switch_law
 from sgms_mhe.diagnosis import alignment
 from sgms_mhe.diagnosis.alignment import decimate, find_step_error, halve_steps, is_mean_velocity
+from sgms_mhe.diagnosis.criteria import Criteria, ProgressReport
 from sgms_mhe.diagnosis.final_fit import _time_step
-from sgms_mhe.diagnosis.fits import Subject, fit_model
-from sgms_mhe.diagnosis.models import CompiledFit
+from sgms_mhe.diagnosis.fits import EffectsError, Subject, fit_model
+from sgms_mhe.diagnosis.models import UNSTABLE, CompiledFit, diverges
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect
+from sgms_mhe.diagnosis.selection import Searched, search_causes
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
@@ -26,6 +28,7 @@ from sgms_mhe.signals.chain import Signals
 Array = NDArray[np.float64]
 
 RATE = 1000.0
+EFFECTS = ("constant_offset", "hose_hysteresis")
 
 
 @pytest.fixture(scope="module")
@@ -167,3 +170,37 @@ def test_a_step_goes_to_where_the_record_has_it(slow: Machine) -> None:
     found = _time_step(subject, None, fit, fit.effects[0])
     assert found.parameters["time_s"] == pytest.approx(at, abs=0.02)
     assert found.parameters["force_N"] == fit.effects[0].parameters["force_N"]
+
+
+def test_an_effect_that_ends_a_search_is_left_out_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a hose whose state was at the edge of what the steps can follow, once the record was in line with it."""
+    machine = load_machine("etel_xy")
+    asked: list[tuple[str, ...]] = []
+
+    def search(laws: object, criteria: Criteria) -> Searched:
+        asked.append(criteria.excited)
+        if "hose_hysteresis" in criteria.excited:
+            raise EffectsError("the model is not finite where its fit starts", ("constant_offset", "hose_hysteresis"))
+        if "force_ripple" in criteria.excited:
+            raise EffectsError("the model is not finite where its fit starts", ("force_ripple",))
+        return Searched(laws, None, criteria, (), frozenset())  # type: ignore[arg-type]
+
+    monkeypatch.setattr("sgms_mhe.diagnosis.selection._search", search)
+    progress = ProgressReport(lambda step, share: None)
+    criteria = Criteria(machine.diagnosis, 0.01, 0.01, EFFECTS, False, progress)
+    found = search_causes(None, criteria)  # type: ignore[arg-type]
+    assert found.left_out == ("hose_hysteresis",)
+    assert asked == [EFFECTS, EFFECTS[:1]]
+    with pytest.raises(EffectsError):  # without an effect that has states of its own there is none to leave out
+        search_causes(None, replace(criteria, excited=("force_ripple",)))  # type: ignore[arg-type]
+
+
+def test_a_model_diverges_whatever_was_taken_off_the_measured_friction() -> None:
+    machine = load_machine("etel_xy")
+    log = simulate_axis(machine, make_trajectory("mixed", machine.sampling.rate, duration_s=3.0), truth=False).log
+    recording = prepare(machine, log)
+    edge = np.array([0.999 * UNSTABLE * recording.largest_friction])
+    less = replace(recording, friction=0.9 * recording.friction)
+    assert not diverges(recording, edge)
+    assert not diverges(less, edge)
+    assert diverges(less, 1.01 * edge)

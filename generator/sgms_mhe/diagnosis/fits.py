@@ -34,6 +34,14 @@ EFFECT_PRIOR: Final = 10.0
 """Prior of an effect's numbers in a step, 1 sigma [nominal value]: it damps the step and says nothing of a size."""
 
 
+class EffectsError(FitError):
+    """A model with these effects under test that is not finite where its fit starts."""
+
+    def __init__(self, message: str, effects: tuple[str, ...]) -> None:
+        super().__init__(message)
+        self.effects = effects
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A model fitted to a recording.
@@ -304,7 +312,10 @@ def _fit_here(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | 
     theta[kept] = [c.machine_theta for c, k in zip(columns, kept, strict=True) if k]
     seen = recording.used if wanted.rows is None else wanted.rows
     problem = LeastSquares(model, recording, seen, free, _prior(subject, model, free))
-    found = problem.descend(theta, wanted.iterations, subject.enough)
+    try:
+        found = problem.descend(theta, wanted.iterations, subject.enough)
+    except FitError as error:
+        raise EffectsError(str(error), tuple(effect.name for effect in effects)) from None
     # A parameter that its bound holds moves neither with a candidate nor from fold to fold.
     interior = free & ~find_at_bounds(columns, found, seen, recording)
     return Fit(

@@ -43,23 +43,34 @@ ALIGNMENTS: Final = 2
 
 
 def subtract_effects(subject: Subject, fit: Fit) -> Recording:
-    """Return the record without the force of a fit's effects."""
-    recording = subject.recording
+    """Return the record without the force of a fit's effects.
+
+    Raises:
+        FitError: its model is not finite along the record.
+    """
     if not fit.effects:
-        return recording
-    alone = subject.model(())
-    theta = subject.start(alone, (), fit)
-    effects = subject.friction(fit) - alone.run(recording, theta, derivatives=False)[0]
-    return replace(recording, friction=recording.friction - effects)
+        return subject.recording
+    friction = subject.friction(fit)
+    at = subject if np.all(np.isfinite(friction)) else subject.whole  # whose rate it was fitted at, then
+    alone = at.model(())
+    theta = at.start(alone, (), fit)
+    effects = at.friction(fit) - alone.run(at.recording, theta, derivatives=False)[0]
+    if not np.all(np.isfinite(effects)):
+        raise FitError("the model is not finite with the numbers that it was fitted with")
+    return replace(subject.recording, friction=subject.recording.friction - effects)
 
 
 def convex_start(subject: Subject, fit: Fit) -> dict[str, float]:
     """Numbers of the machine to start from, by column [SI]: of the friction that a fit's effects do not explain.
 
-    Neither the machine file's numbers nor where the fit stopped matter. Nothing where there is no friction.
+    Neither the machine file's numbers nor where the fit stopped matter. Nothing where there is no friction, or none
+    can be told from the effects'.
     """
     columns = {column.name for column in subject.model(()).columns}
-    found = element_numbers(subtract_effects(subject, fit), subject.noise)
+    try:
+        found = element_numbers(subtract_effects(subject, fit), subject.noise)
+    except FitError:
+        return {}
     return {name: value for name, value in found.items() if name in columns}
 
 
@@ -273,10 +284,17 @@ def _fit_or_known(subject: Subject, effects: Sequence[CandidateEffect], known: F
 
 
 def align_fit(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:
-    """The fit with everything at hand, the record brought into line with it."""
+    """The fit with everything at hand, the record brought into line with it.
+
+    Not where no fit can begin at its own numbers: a state may be at the edge of what its steps can follow.
+    """
     for _ in range(ALIGNMENTS):
-        subject = align(subject, fit)
-        fit = fit_model(subject, fit.effects, warm=fit)
+        aligned = align(subject, fit)
+        try:
+            fit = fit_model(aligned, fit.effects, warm=fit)
+        except FitError:
+            break
+        subject = aligned
     return subject, fit
 
 

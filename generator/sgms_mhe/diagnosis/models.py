@@ -484,7 +484,7 @@ class LeastSquares:
 
 def diverges(recording: Recording, values: Array) -> bool:
     """Return True if friction [N] along a recording, or its derivatives, have the size of a state that diverged."""
-    return not _largest(values) < UNSTABLE * max(_largest(recording.friction), recording.machine.friction.coulomb)
+    return not _largest(values) < UNSTABLE * max(recording.largest_friction, recording.machine.friction.coulomb)
 
 
 def _largest(values: Array) -> float:

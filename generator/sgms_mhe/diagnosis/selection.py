@@ -26,7 +26,7 @@ from sgms_mhe.diagnosis.criteria import (
     rank_proposals,
 )
 from sgms_mhe.diagnosis.curves import fit_curve
-from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, try_fit
+from sgms_mhe.diagnosis.fits import EffectsError, Fit, Subject, fit_model, try_fit
 from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, start_unknown_numbers
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.reduction import keep_necessary, prune_effects
@@ -221,6 +221,7 @@ class Searched:
         criteria: what matters from now on.
         scores: of all rounds.
         seen: effects that ever looked good.
+        left_out: those of them whose model is not finite at the numbers that it was fitted with.
     """
 
     laws: Laws
@@ -228,9 +229,27 @@ class Searched:
     criteria: Criteria
     scores: tuple[Score, ...]
     seen: frozenset[str]
+    left_out: tuple[str, ...] = ()
 
 
 def search_causes(laws: Laws, criteria: Criteria) -> Searched:
+    """Search the causes; again without an effect whose states are at the edge of what the model's steps can follow.
+
+    Raises:
+        FitError: the model is not finite without such effects either.
+    """
+    try:
+        return _search(laws, criteria)
+    except EffectsError as error:
+        left_out = tuple(name for name in error.effects if effect_definition(name).states)
+        if not left_out:
+            raise
+        log_decision("selection", "effects that have no model along this record are left out", effects=left_out)
+        excited = tuple(name for name in criteria.excited if name not in left_out)
+        return replace(search_causes(laws, replace(criteria, excited=excited)), left_out=left_out)
+
+
+def _search(laws: Laws, criteria: Criteria) -> Searched:
     """Add effects one after the other, from the machine with all its own numbers refitted.
 
     Amid the search fits keep to the law that is taken, and both are compared before an effect is added that explains no

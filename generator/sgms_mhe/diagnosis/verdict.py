@@ -277,13 +277,13 @@ def _diagnose_log(
         warnings=record.warnings,
     )
     searched = search_causes(make_laws(machine, recording, floor, is_open=begun is not None), criteria)
-    left_out: tuple[str, ...] = ()
+    left_out = searched.left_out
     try:
         final, judged = _judge_search(record, nominal, searched, progress)
     except FitError:
         # A gap that opens again and again has no finite derivatives, wherever a fit of it would begin.
-        left_out = tuple(dict.fromkeys(effect.name for effect in searched.fit.effects))
-        if not left_out:
+        left_out += tuple(dict.fromkeys(effect.name for effect in searched.fit.effects))
+        if not searched.fit.effects:
             raise
         final, judged = _judge_search(record, nominal, drop_effects(searched), progress)
     if begun is not None:

@@ -166,6 +166,11 @@ class Recording:
         )
 
     @cached_property
+    def largest_friction(self) -> float:
+        """Largest magnitude of measured friction on used rows [N], whatever alignment has taken from it since."""
+        return float(np.max(np.abs(self.reduce(self.signals.friction)[self.used]), initial=0.0))
+
+    @cached_property
     def second_half_begins(self) -> int | None:
         """Row from which elements may be run for the second half, rows // 2 on, beside the first; None: from none.
 
