@@ -211,6 +211,17 @@ def test_an_element_that_never_slips_is_dropped_where_it_may_be_none(noise: floa
     assert stays or left.coulomb == pytest.approx(40.0, rel=0.03)
 
 
+@pytest.mark.slow
+def test_where_every_element_may_be_none_one_stays() -> None:
+    """Of noise alone: that no friction shows is for a refusal to say."""
+    view = explore([screw(0.0, 2.0, 3)], Wanted("screw", elements=1)).views.fine
+    noise = np.random.default_rng(8).normal(size=len(view.rows.friction))
+    alone = replace(view, rows=replace(view.rows, friction=noise))
+    shape = Shape("switching", np.array([0.93, 0.97]) * view.rows.extents.travel, None)
+    fit = fit_axis(alone, (Term("constant_offset", np.ones((len(noise), 1))),), shape, iterations=0)
+    assert len(drop_traces(Views(alone, alone), fit).levels) == 1
+
+
 def _hand_over_spring(view: RecordView, fit: AxisFit, share: float) -> AxisFit:
     """The fit, this share of its spring taken from it and given to an element of nearly the travel: noise does not."""
     spring = next(term for term in fit.terms if term.name == "position_spring")

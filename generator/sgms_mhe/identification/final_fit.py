@@ -253,6 +253,8 @@ def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
         unsure |= (fit.shape.distances > LARGEST * travel) & none
         if not unsure.any():
             break
+        if unsure.all():  # where no friction shows, that is for a refusal to say
+            unsure[np.argmax(fit.levels)] = False
         shape = Shape(fit.shape.law, fit.shape.distances[~unsure], fit.shape.rise)
         fit = fit_axis(views.fine, fit.terms, shape, iterations=FINAL_ITERATIONS)
     return fit
