@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,15 +11,12 @@ from numpy.typing import NDArray
 from sgms_bench.studies.coarse import draw_coarse_axis, identified_coarse_axis
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.identification import Wanted
-from sgms_mhe.identification.description import mass_number
-from sgms_mhe.identification.fits import NumberEstimate, RecordView, covariance
+from sgms_mhe.identification.fits import RecordView, covariance
 from sgms_mhe.identification.identify import explore
 from sgms_mhe.identification.records import make_records
 from sgms_mhe.identification.sampling import replace_filter, rough_mass, unknown_axis
-from sgms_mhe.machine.units import OF_KIND
 from sgms_mhe.recordings.path import smooth_path, thin_path
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.noise import stamp_noise
 
 Array = NDArray[np.float64]
 
@@ -96,24 +91,3 @@ def test_other_lines_and_fewer_samples_widen_intervals() -> None:
     bare, same, whole = (np.diag(covariance(one, fit)) for one in (alone, own, view))
     assert np.allclose(same, bare, rtol=1e-6)
     assert np.all(whole >= bare * (1.0 - 1e-9)) and np.max(whole / np.maximum(bare, 1e-300)) > 1.5
-
-
-def test_noise_of_stamps_grows_with_speed() -> None:
-    random, time = np.random.default_rng(2), np.arange(12000) / 1000.0
-    way = np.where(time < 6.0, 0.0, 0.1 * np.sin(2.0 * np.pi * (time - 6.0)))
-    speed = np.abs(np.gradient(way))
-    position = way + 1e-7 * random.standard_normal(len(time)) + 0.2 * speed * random.standard_normal(len(time))
-    course = stamp_noise(position)
-    assert np.median(course[:5900]) == pytest.approx(1e-7, rel=0.5)  # slow parts of the motion count as rest
-    fast = speed > 0.7 * speed.max()
-    assert np.median(course[fast] / speed[fast]) == pytest.approx(0.2, rel=0.3)
-    assert np.median(stamp_noise(way + 1e-7 * random.standard_normal(len(time)))[fast]) < 1e-6
-
-
-@pytest.mark.parametrize(("std", "known"), [(0.1, True), (0.3, False)])
-def test_a_mass_that_the_motion_hardly_shows_is_stated_as_such(std: float, known: bool) -> None:
-    """It was refused; with its interval it is of use."""
-    final: Any = SimpleNamespace(mass=NumberEstimate(1.0, std))
-    number, said = mass_number(final, None, 1.0, OF_KIND["rotary"])
-    assert number.determined == known and number.std == std
-    assert not said if known else "inertia: not determined, 1 +- 0.6 kg m^2" in said[0] and "--inertia" in said[0]

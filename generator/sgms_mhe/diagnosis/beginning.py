@@ -19,7 +19,7 @@ from sgms_mhe.diagnosis.result import Cause, PlainFriction, RefutedNumber
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.identification.description import identified_effects
 from sgms_mhe.identification.elements import NO_RISE, least_distance
-from sgms_mhe.identification.final_fit import MASS_SEEN, contradicts_mass
+from sgms_mhe.identification.final_fit import contradicts_mass
 from sgms_mhe.identification.fits import NumberEstimate
 from sgms_mhe.identification.identify import Explored, explore_recording
 from sgms_mhe.identification.search import LEAST_SHARE, element_numbers
@@ -131,8 +131,7 @@ def identify_start(
         log_decision("beginning", "file stays: identification refuses the record", reason=str(error))
         return None
     shown = explored.final.mass
-    known = shown is not None and shown.relative <= MASS_SEEN
-    if has_force and shown is not None and known and (mass is not None or contradicts_mass(file.plant.moved, shown)):
+    if has_force and shown is not None and (mass is not None or contradicts_mass(file.plant.moved, shown)):
         mass = shown
     apart = distance(_compare(file, explored, mass), mean_speed(recording))
     log_decision(

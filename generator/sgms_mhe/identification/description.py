@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.identification.elements import NO_RISE
-from sgms_mhe.identification.final_fit import CERTAIN, MASS_SEEN, FinalIdentification
+from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
 from sgms_mhe.identification.fits import (
     AxisFit,
     NumberEstimate,
@@ -224,13 +224,7 @@ def mass_number(
     if given is None:
         if seen is None:  # refused before
             raise ValueError("neither a mass nor a motion that shows one")
-        if seen.relative <= MASS_SEEN:
-            return Number("mass", adopted, seen.std, True, f"of the motion, as the {units.push}'s scale has it"), ()
-        sentence = (
-            f"{inert}: not determined, {seen.value:.3g} +- {2.0 * seen.std:.2g} {unit} by this motion. "
-            f"Needed: {MOVES['jerks']} (sgms-mhe plan), or --{inert}"
-        )
-        return Number("mass", adopted, seen.std, False, STAND_IN), (sentence,)
+        return Number("mass", adopted, seen.std, True, f"of the motion, as the {units.push}'s scale has it"), ()
     if seen is None:
         sentence = f"{inert}: as given, the motion does not show it. Needed: {MOVES['jerks']} (sgms-mhe plan)"
         return Number("mass", adopted, math.nan, False, "as given; the motion does not show it"), (sentence,)

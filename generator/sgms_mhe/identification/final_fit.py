@@ -61,7 +61,7 @@ CERTAIN: Final = 3.0
 MASS_OFF: Final = 0.02
 """Of the mass that was given: less is what an actuator's lag makes of it."""
 MASS_SEEN: Final = 0.2
-"""Deviation over value up to which a mass counts as known."""
+"""Deviation over value up to which a mass is known."""
 MASS_NOISE: Final = 0.25
 """Share of noise, in what an acceleration has alone, up to which it shows a mass: beyond, its number is the noise's."""
 MASS_SURE: Final = 1.5e-4
@@ -469,7 +469,7 @@ def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
 def _mass(rows: Recording, extra: NumberEstimate) -> NumberEstimate | None:
     total = rows.machine.plant.moved + extra.value
     mass = NumberEstimate(total, math.hypot(extra.std, MASS_SURE * total))
-    return mass if mass.value > SHOWN * mass.std else None
+    return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
 
 
 def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, NumberEstimate], given_mass: float | None) -> set[str]:

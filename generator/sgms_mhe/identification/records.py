@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -18,7 +17,7 @@ from sgms_mhe.recordings.recording import Recording, Runs, add_encoder, position
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, apply_chain, readings
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.noise import encoder_step, stamp_noise
+from sgms_mhe.signals.noise import encoder_step, noise_course
 
 Array = NDArray[np.float64]
 
@@ -215,17 +214,16 @@ def _read_path(log: Log, error: float) -> list[Array]:
 
     Args:
         log: the record.
-        error: of a measurement, one standard deviation [m], where no step shows.
+        error: of a reading, one standard deviation [m].
     """
     position = bridge_gaps(readings(log).position_m)
-    step = encoder_step(readings(log).position_m)
-    noise, course = step / math.sqrt(12.0) if step > 0.0 else error, stamp_noise(position)
-    way = smooth_path(position, noise, course)
+    step, course = encoder_step(readings(log).position_m), noise_course(position)
+    way = smooth_path(position, error, course)
     paths = [way]
-    beyond = np.sqrt(np.maximum(0.0, course**2 - noise**2))
+    beyond = np.sqrt(np.maximum(0.0, np.maximum(course, error) ** 2 - step**2 / 12.0))
     for k in range(ENCODERS if step > 0.0 else 0):
         white = beyond * np.random.default_rng([SEED, k]).standard_normal(len(way))
-        paths.append(smooth_path(way + white + reading_error(way + white, step, uneven=True, seed=k), noise, course))
+        paths.append(smooth_path(way + white + reading_error(way + white, step, uneven=True, seed=k), error, course))
     return paths
 
 

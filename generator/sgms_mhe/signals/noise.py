@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 MEDIAN_OF_NORMAL: Final = 0.6745
 """Median size of a normal variable over its standard deviation."""
@@ -63,25 +62,6 @@ def noise_course(series: NDArray[np.float64]) -> NDArray[np.float64]:
     )
     middles = (np.arange(pieces) + 0.5) * PIECE
     return np.asarray(np.interp(np.arange(len(series)), middles, sizes))
-
-
-def stamp_noise(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Standard deviation of the noise of a position whose samples are off their stamps, at each sample (n) [its unit].
-
-    What it has where it is slow, and beside it what grows with speed: the same part of the way between two samples
-    everywhere. No sample may be missing.
-    """
-    speed = uniform_filter1d(np.abs(np.gradient(position)), PIECE // 10, mode="nearest")
-    fast = speed > float(np.sqrt(np.mean(speed**2)))
-    if len(position) < PIECE or not fast.any():
-        return np.full(len(position), position_noise(position))
-    slow, late = [], []
-    for order in ORDERS:
-        size = np.abs(np.diff(position, n=order)) / _median_of_noise(order)
-        there, moving = speed[order // 2 :][: len(size)], fast[order // 2 :][: len(size)]
-        slow.append(float(np.median(size[~moving])))
-        late.append(float(np.median(size[moving] / there[moving])))
-    return np.asarray(np.hypot(min(slow), min(late) * speed))
 
 
 def _median_of_noise(order: int) -> float:
