@@ -97,6 +97,7 @@ def test_friction_alone_needs_no_mass(given: float | None) -> None:
     assert (mass.value, mass.determined) == (given or 1.0, False)
     assert any("friction alone was recorded" in limit for limit in found.limits) is (given is None)
     assert coulomb.value == pytest.approx(axis.coulomb, rel=0.05)
+    assert coulomb.std < 0.01 * coulomb.value  # what a mass would take from a force, no step of an encoder took here
     assert found.number("viscous").value == pytest.approx(axis.viscous, rel=0.1)
     with_force = replace(log, velocity_m_s=None, friction_N=None)
     with pytest.raises(InputError, match=r"logs of one call share it"):
