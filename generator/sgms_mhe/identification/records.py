@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.encoder import encoder_noise
+from sgms_mhe.recordings.path import SEED as STEPS_SEED
 from sgms_mhe.recordings.path import bridge_gaps, displacements, reading_error, smooth_path, thin_path
 from sgms_mhe.recordings.recording import Recording, Runs, add_encoder, position_error, prepare
 from sgms_mhe.recordings.series import row_means
@@ -30,6 +31,8 @@ PATH_RATE: Final = 16000.0
 RUNS_CACHED: Final = 64
 """Runs of elements that a motion keeps: a fit begins where another one ended."""
 
+CLEARLY: Final = 2.0
+"""Noise of a stretch from which on it is not that of an encoder's steps [theirs]: it scatters by less."""
 ENCODERS: Final = 4
 """Encoders that read a way once more: of fewer, what they make of a number would be less sure than the number."""
 SEED: Final = 20261127
@@ -218,12 +221,19 @@ def _read_path(log: Log, error: float) -> list[Array]:
     """
     position = bridge_gaps(readings(log).position_m)
     step, course = encoder_step(readings(log).position_m), noise_course(position)
+    beyond = course  # what the encoder's steps alone do not make
+    if step > 0.0:
+        alone = smooth_path(position, error)
+        counted = noise_course(alone + reading_error(alone, step, uneven=True))
+        beyond = np.where(course > CLEARLY * counted, np.sqrt(np.maximum(0.0, course**2 - counted**2)), 0.0)
+        course = np.hypot(error, beyond)
     way = smooth_path(position, error, course)
     paths = [way]
-    beyond = np.sqrt(np.maximum(0.0, np.maximum(course, error) ** 2 - step**2 / 12.0))
     for k in range(ENCODERS if step > 0.0 else 0):
         white = beyond * np.random.default_rng([SEED, k]).standard_normal(len(way))
-        paths.append(smooth_path(way + white + reading_error(way + white, step, uneven=True, seed=k), error, course))
+        # The first is the encoder of a diagnosis: one noise floor.
+        read = way + white + reading_error(way + white, step, uneven=True, seed=STEPS_SEED + k)
+        paths.append(smooth_path(read, error, course))
     return paths
 
 
