@@ -181,6 +181,8 @@ def test_an_effect_that_ends_a_search_is_left_out_of_the_next(monkeypatch: pytes
         asked.append(criteria.excited)
         if "hose_hysteresis" in criteria.excited:
             raise EffectsError("the model is not finite where its fit starts", ("constant_offset", "hose_hysteresis"))
+        if "backlash" in criteria.excited:
+            raise EffectsError("the model is not finite where its fit starts", ("backlash",))
         if "force_ripple" in criteria.excited:
             raise EffectsError("the model is not finite where its fit starts", ("force_ripple",))
         return Searched(laws, None, criteria, (), frozenset())  # type: ignore[arg-type]
@@ -191,6 +193,8 @@ def test_an_effect_that_ends_a_search_is_left_out_of_the_next(monkeypatch: pytes
     found = search_causes(None, criteria)  # type: ignore[arg-type]
     assert found.left_out == ("hose_hysteresis",)
     assert asked == [EFFECTS, EFFECTS[:1]]
+    two = search_causes(None, replace(criteria, excited=(*EFFECTS, "backlash")))  # type: ignore[arg-type]
+    assert two.left_out == ("hose_hysteresis", "backlash")
     with pytest.raises(EffectsError):  # without an effect that has states of its own there is none to leave out
         search_causes(None, replace(criteria, excited=("force_ripple",)))  # type: ignore[arg-type]
 

@@ -246,7 +246,8 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
             raise
         log_decision("selection", "effects that have no model along this record are left out", effects=left_out)
         excited = tuple(name for name in criteria.excited if name not in left_out)
-        return replace(search_causes(laws, replace(criteria, excited=excited)), left_out=left_out)
+        found = search_causes(laws, replace(criteria, excited=excited))
+        return replace(found, left_out=left_out + found.left_out)
 
 
 def _search(laws: Laws, criteria: Criteria) -> Searched:
