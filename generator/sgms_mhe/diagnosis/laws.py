@@ -50,11 +50,12 @@ def subtract_effects(subject: Subject, fit: Fit) -> Recording:
     """
     if not fit.effects:
         return subject.recording
-    friction = subject.friction(fit)
-    at = subject if np.all(np.isfinite(friction)) else subject.whole  # whose rate it was fitted at, then
+    at, friction = subject, subject.friction(fit)
+    if not np.all(np.isfinite(friction)):  # it was fitted at the full rate, then
+        at, friction = subject.whole, subject.whole.friction(fit)
     alone = at.model(())
     theta = at.start(alone, (), fit)
-    effects = at.friction(fit) - alone.run(at.recording, theta, derivatives=False)[0]
+    effects = friction - alone.run(at.recording, theta, derivatives=False)[0]
     if not np.all(np.isfinite(effects)):
         raise FitError("the model is not finite with the numbers that it was fitted with")
     return replace(subject.recording, friction=subject.recording.friction - effects)
