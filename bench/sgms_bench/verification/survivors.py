@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from sgms_bench.verification.gaps import Gap
+from sgms_bench.verification.gaps import NUMBERS, Gap
 from sgms_bench.verification.mutants import Mutant
 
 WHEN: Final = "says when work is done, not what comes out; stated work is held by tests/test_stated_work.py"
@@ -15,7 +15,6 @@ ROUNDING: Final = "a bound on rounding errors: a release within it changes nothi
 PATH: Final = "another way to the one place that is best; the number of steps has a bound of its own"
 SHORT: Final = "a way round work that changes nothing: the long way comes to the same"
 OTHER_TASK: Final = "another task comes in between two instructions; tests/test_tasks.py lets it"
-NUMBERS: Final = "numbers of IEEE 754 are here; tests/test_package.py has builds and processors without"
 ZERO: Final = "a term that is zero, or a factor that is one, in this package"
 PADDING: Final = "lanes of a vector that hold copies where one interval is integrated at a time"
 SUM: Final = "another sum of bits that tells as much of them"
