@@ -26,8 +26,8 @@ def diagnose(
 
     Args:
         machine: file, name, or loaded: the axis as it is believed to be.
-        log: file, Log or DataFrame: what was measured. Of several, records of one axis, the first is diagnosed;
-            the numbers are fitted to all of them, and each is judged by the others.
+        log: file, Log or DataFrame: what was measured. Of several, records of one axis, the first is diagnosed,
+            and all as one where that leaves something; the numbers are fitted to all, each is judged by the others.
         held_out_s: intervals since the log's start [s] that no fit behind a reported gain sees; None: a third of the
             record, in blocks.
         note: called with each sentence on how the log was read; None: they are `LogWarning`s.

@@ -80,7 +80,8 @@ def command(
 ) -> None:
     """Find errors of MACHINE's simulation along LOG, name the cause, and measure the gain of its effect.
 
-    With further LOGs of the same axis the numbers are fitted to all: a cause transfers if it holds there too.
+    With further LOGs of the same axis causes are sought in all, and numbers fitted to all: a cause transfers if it
+    holds there too.
 
     Writes report.html with its figures, diagnosis.json and, where a cause is named, the extended machine file. The
     verdict is explained, adequate (nothing is missing), ambiguous (the record cannot distinguish causes; the report has
@@ -165,7 +166,7 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
             f"{units.named(name)} = {value:.4g}{_interval(cause.std.get(name, math.nan))}"
             for name, value in cause.parameters.items()
         )
-        holds = {None: "", True: "; transfers", False: "; of this record alone"}[cause.transfers]
+        holds = {None: "", True: "; transfers", False: "; not of every record"}[cause.transfers]
         gained = f"explains {cause.gain_N:.3g} {units.force} rms on held-out data"
         lines.append(f"  {cause.name}: {values}; {gained}{holds}")
     lines += [

@@ -14,7 +14,7 @@ from sgms_mhe.diagnosis.result import (
     Score,
     Traces,
 )
-from sgms_mhe.diagnosis.verdict import diagnose
+from sgms_mhe.diagnosis.together import diagnose
 from sgms_mhe.diagnosis.writing import write_diagnosis, write_extended, write_refusal
 
 __all__ = [

@@ -16,7 +16,6 @@ from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST, drop_bounds
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
-from sgms_mhe.recordings.evidence import find_nuisance
 from sgms_mhe.recordings.least_squares import RIDGE, TINY, solve_box
 from sgms_mhe.recordings.recording import Recording, reduce_signals
 from sgms_mhe.recordings.series import Shift, row_means
@@ -139,7 +138,8 @@ def find_residual(whole: Subject, fit: Fit, sampled: Array) -> Array:
     """
     exact = whole.friction(fit)
     later = find_step_error(whole, fit) + find_chain_error(whole, fit)
-    return np.asarray(whole.alignment.measured - later - find_sampling_columns(whole, exact) @ sampled - exact)
+    own = 0.0 if fit.own is None else fit.own.force
+    return np.asarray(whole.alignment.measured - later - find_sampling_columns(whole, exact) @ sampled - exact - own)
 
 
 def _fit_sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, timed: bool) -> Array:
@@ -151,7 +151,7 @@ def _fit_sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, 
     force that is held over a sample, which is low by h^2 / 8.
     """
     used, step = whole.recording.used, whole.machine.sampling.step
-    free = find_nuisance(fit.jacobian[used][:, fit.interior])
+    free = fit.find_nuisance(used)
     scale = np.array([TIMING * step, step**2 / 12.0])
     Z = free.project(columns[used] * scale)
     e = free.project(residual[used])
@@ -333,12 +333,12 @@ def is_mean_velocity(recording: Recording) -> bool:
     A log may bring its own, which may as well be a reading: what was travelled says.
     """
     signals, h = recording.signals, recording.machine.sampling.step
-    join_map = np.diff(recording.clock) < SEAM * h
+    meets = np.abs(np.diff(recording.clock)) < SEAM * h
     travelled, now = np.diff(signals.position), signals.velocity[1:]
     between = 0.5 * (signals.velocity[:-1] + now)
 
     def off(velocity: Array) -> float:
-        return float(np.sum((velocity * h - travelled)[join_map] ** 2))
+        return float(np.sum((velocity * h - travelled)[meets] ** 2))
 
     return off(now) <= off(between)
 

@@ -17,6 +17,7 @@ from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.machine import DiagnosisTable, Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, Measure, cause, effect_definition, effect_names
+from sgms_mhe.model.effects.search import Step
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import cross_loss, gain_force
 from sgms_mhe.recordings.excitation import in_step
@@ -161,16 +162,27 @@ def make_criteria(
     progress: ProgressReport,
     *,
     one_speed: bool = False,
+    several: bool = False,
 ) -> Criteria:
-    """The criteria of a record of this noise floor [N] and these measures."""
+    """The criteria of a record of this noise floor [N] and these measures.
+
+    `several`: it is several logs, whose clocks have nothing in common: no force has an instant or a phase in all.
+    """
     # What a record does not excite cannot be found in it; what only imitates it can.
     excited = tuple(
         name
         for name in effect_names(machine.plant.kind)
         if not effect_definition(name).learned
         and not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
+        and not (several and _is_timed(name))
     )
     return Criteria(machine.diagnosis, floor, material_force(machine, floor), excited, one_speed, progress)
+
+
+def _is_timed(name: str) -> bool:
+    """Return True if the force of an effect hangs on when a log begins."""
+    definition = effect_definition(name)
+    return isinstance(definition.search, Step) or (definition.sine is not None and definition.sine.coordinate == "time")
 
 
 def raise_floor(criteria: Criteria, floor: float) -> Criteria:
@@ -231,7 +243,7 @@ def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
     definition = effect_definition(name)
     if not definition.possible(parameters, scales_of(subject.machine)):
         return True
-    if definition.sine is not None and definition.sine.coordinate == "time":
+    if _is_timed(name) and definition.sine is not None:
         frequency = np.array([parameters[definition.sine.period]])
         if in_step(subject.recording, frequency).any():
             return True

@@ -19,7 +19,7 @@ from sgms_mhe.diagnosis.structure import leaves_curve
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.effects.motion import shift_to_sample
 from sgms_mhe.model.effects.search import Columns
-from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force
+from sgms_mhe.recordings.evidence import difference_statistic, gain_force
 from sgms_mhe.support.decisions import log_decision
 
 
@@ -62,7 +62,7 @@ def _fit_fewest(subject: Subject, without: Fit, name: str, criteria: Criteria) -
     motion = make_motion(recording, without)
     step = subject.machine.sampling.step
     motion = replace(motion, velocity=shift_to_sample(motion.velocity, motion.acceleration, step))
-    free = find_nuisance(without.jacobian[recording.used][:, without.interior])
+    free = without.find_nuisance(recording.used)
     seen = Residual(recording, motion, free, free.project(without.residual[recording.used]))
     best: Fit | None = None
     for given in kind.variants(motion):

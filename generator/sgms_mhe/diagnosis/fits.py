@@ -10,16 +10,26 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.models import CompiledFit, FitError, LeastSquares, Prior, diverges, find_at_bounds, make_model
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup, smooth_law
+from sgms_mhe.diagnosis.models import (
+    CompiledFit,
+    FitError,
+    LeastSquares,
+    ModelPoint,
+    Prior,
+    diverges,
+    make_model,
+)
+from sgms_mhe.diagnosis.own_numbers import OwnNumbers
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup, bounds, smooth_law
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition, reported_name
-from sgms_mhe.recordings.evidence import cross_loss
+from sgms_mhe.recordings.evidence import Nuisance, cross_loss, find_nuisance
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FitKey = tuple[object, ...]
+AT_BOUND: Final = 1e-9
 ALIKE: Final = 0.1
 """Standard deviation of a change of friction, over its own."""
 SEARCH_STEP: Final = 10.0
@@ -57,6 +67,7 @@ class Fit:
         loss: sum of squared residuals per block (blocks).
         cross: the same, each block predicted by a fit without its fold (blocks).
         rows: used rows per block (blocks).
+        own: what each of several joined logs has of its own, taken out of residual and Jacobian; None: there is one.
     """
 
     model: CompiledFit
@@ -69,6 +80,12 @@ class Fit:
     loss: Array
     cross: Array
     rows: Array
+    own: OwnNumbers | None = None
+
+    def find_nuisance(self, used: Mask, held: Mask | None = None) -> Nuisance:
+        """Return what free numbers explain on rows (m), but those `held` (n_p), and what each log has of its own."""
+        X = self.jacobian[used][:, self.interior if held is None else self.interior & ~held]
+        return find_nuisance(X if self.own is None else np.column_stack((X, self.own.columns[used])))
 
     @property
     def candidate_groups(self) -> tuple[ParameterGroup, ...]:
@@ -341,6 +358,7 @@ def _fit_here(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | 
             recording, found.jacobian[:, interior], found.residual, prior_information(subject, model, interior)
         ),
         rows=recording.sum_blocks(np.ones(len(recording.time))),
+        own=found.own,
     )
 
 
@@ -383,3 +401,11 @@ def try_fit(
         return fit_model(subject, effects, refitted=refitted, warm=warm, again=again)
     except FitError:
         return None
+
+
+def find_at_bounds(columns: Sequence[JacobianColumn], at: ModelPoint, seen: Mask, recording: Recording) -> Mask:
+    """Parameters at a bound that the rows seen (m) push them against (n_p)."""
+    descent = at.jacobian[seen].T @ at.residual[seen]
+    lower, upper = bounds(columns, recording)
+    near = AT_BOUND * np.maximum(1.0, np.abs(at.theta))
+    return np.asarray(((at.theta <= lower + near) & (descent < 0.0)) | ((at.theta >= upper - near) & (descent > 0.0)))

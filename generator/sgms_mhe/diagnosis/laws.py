@@ -21,7 +21,7 @@ from sgms_mhe.identification.elements import Stribeck, least_distance
 from sgms_mhe.identification.search import element_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance
+from sgms_mhe.recordings.evidence import difference_statistic
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import beside, run_parallel
@@ -175,7 +175,7 @@ def start_unknown_numbers(laws: Laws) -> Laws:
         return laws
     groups = tuple(g for g in machine_groups(subject.machine) if g.kind != "base" or g.cause not in unknown)
     fit = fit_model(subject, (), refitted=groups)
-    free = find_nuisance(fit.jacobian[subject.recording.used][:, fit.interior])
+    free = fit.find_nuisance(subject.recording.used)
     found = stribeck_start(subject.recording, fit, free)
     alternative = laws.alternative and laws.alternative.start_from({**laws.alternative.starts, **found})
     return replace(laws, own=subject.start_from({**subject.starts, **found}), alternative=alternative)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
+from sgms_mhe.diagnosis.own_numbers import OwnNumbers
 from sgms_mhe.diagnosis.parametrisation import (
     CandidateEffect,
     Force,
@@ -52,7 +53,6 @@ MODELS_CACHED: Final = 512  # compiled models; a diagnosis of a rich record asks
 UNSTABLE: Final = 1e6
 """Derivative from which no integration step was short enough [largest friction]: a state that diverges shows in its
 derivatives first."""
-AT_BOUND: Final = 1e-9
 
 
 @dataclass(eq=False)
@@ -382,12 +382,16 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class ModelPoint:
-    """A model at theta (n_p): residual (m) [N], slopes d(model)/d(theta) (m, n_p), cost (inf: not finite there)."""
+    """A model at theta (n_p): residual (m) [N], slopes d(model)/d(theta) (m, n_p), cost (inf: not finite there).
+
+    Where several logs are joined both are without what each has of its own (`own`).
+    """
 
     theta: Array
     residual: Array
     jacobian: Array
     cost: float
+    own: OwnNumbers | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -415,12 +419,15 @@ class LeastSquares:
         residual = recording.friction - y
         if diverges(recording, residual):
             return ModelPoint(theta, residual, np.empty((0, 0)), math.inf)
+        own = None if jacobian is None else OwnNumbers.of(recording, self.model.columns, jacobian, residual, self.seen)
+        if own is not None and jacobian is not None:
+            residual, jacobian = residual - own.force, own.project(jacobian, self.seen)
         seen = residual[self.seen]
         cost = float(seen @ seen) + float(prior.binding @ (theta[free] - prior.centre) ** 2)
         # A state that its steps are too long for shows in its derivatives first.
         if jacobian is None or not math.isfinite(cost) or diverges(recording, jacobian):
             return ModelPoint(theta, residual, np.empty((0, 0)), math.inf)
-        return ModelPoint(theta, residual, jacobian, cost)
+        return ModelPoint(theta, residual, jacobian, cost, own)
 
     @property
     def count(self) -> int:
@@ -490,11 +497,3 @@ def diverges(recording: Recording, values: Array) -> bool:
 def _largest(values: Array) -> float:
     """The largest magnitude (NaN where there is one); without an array of all of them, which takes longer to fill."""
     return max(float(values.max()), -float(values.min()))
-
-
-def find_at_bounds(columns: Sequence[JacobianColumn], at: ModelPoint, seen: Mask, recording: Recording) -> Mask:
-    """Parameters at a bound that the rows seen (m) push them against (n_p)."""
-    descent = at.jacobian[seen].T @ at.residual[seen]
-    lower, upper = bounds(columns, recording)
-    near = AT_BOUND * np.maximum(1.0, np.abs(at.theta))
-    return np.asarray(((at.theta <= lower + near) & (descent < 0.0)) | ((at.theta >= upper - near) & (descent > 0.0)))

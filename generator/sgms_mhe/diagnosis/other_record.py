@@ -88,6 +88,7 @@ class JudgedRecord:
         noise_floor_N: of its measured friction.
         origin_m: to be added to its position, so that the forces over place fit; 0: nothing.
         origin: what the record says of that, its `position_m` the negative of it; None: not asked, the axis is homed.
+        common_after: of the extended machine without causes of the first record alone.
         own: numbers that belong to the record, by name.
         causes: those of the first record.
     """
@@ -100,6 +101,7 @@ class JudgedRecord:
     noise_floor_N: float
     origin_m: float
     origin: Origin | None
+    common_after: float
     own: Mapping[str, float]
     causes: tuple[TransferredCause, ...]
 

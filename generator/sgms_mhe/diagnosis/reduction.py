@@ -17,7 +17,7 @@ from sgms_mhe.diagnosis.maps import ENTRY_GAIN
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup, drop_effect, drop_group, machine_groups
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.effects.search import Harmonic, Periodic
-from sgms_mhe.recordings.evidence import cross_loss, find_nuisance, gain_force
+from sgms_mhe.recordings.evidence import cross_loss, gain_force
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 
@@ -45,7 +45,7 @@ def join_map(subject: Subject, fit: Fit, criteria: Criteria) -> Fit:
         if without is None:
             continue
         used = subject.choose_rate(others).recording.used
-        free = find_nuisance(without.jacobian[used][:, without.interior])
+        free = without.find_nuisance(used)
         numbers = sum(len(effect.parameters) for effect in parts)
         for whole in search(subject, without, [one.name], free):
             trial = try_fit(subject, (*others, make_effect(whole)), warm=without)

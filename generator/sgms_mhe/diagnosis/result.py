@@ -381,11 +381,20 @@ class Diagnosis:
     @property
     def contradictions(self) -> tuple[str, ...]:
         """Return the sentences on what does not hold on other records."""
-        alone = [cause.label for cause in self.causes if cause.transfers is False]
+        contradicted = [cause.label for cause in self.causes if cause.transfers is False]
+        asked = {t.label for record in self.records[:1] for t in record.causes}  # the first too: they are of all
         records = () if self.extended is None else self.records[1:]
         unit = self.machine.plant.units.force
         learned = () if self.learned is None else self.learned.list_contradictions(unit)
-        return (*list_contradictions(alone, records, unit), *learned)
+        return (
+            *list_contradictions([label for label in contradicted if label not in asked], records, unit),
+            *(
+                f"{label}: not of every record, on one it makes the residual larger"
+                for label in contradicted
+                if label in asked
+            ),
+            *learned,
+        )
 
     @property
     def extended_name(self) -> str | None:

@@ -29,7 +29,7 @@ from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force, score_test
+from sgms_mhe.recordings.evidence import difference_statistic, gain_force, score_test
 from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
@@ -216,7 +216,7 @@ def _effects(
     subject: Subject, without: Fit, instead_of: str, seen: Collection[str], criteria: Criteria
 ) -> list[Ranked]:
     """Effects in a cause's place; costly ones only if they ever looked good or are known to be confused with it."""
-    free = find_nuisance(without.jacobian[subject.recording.used][:, without.interior])
+    free = without.find_nuisance(subject.recording.used)
     names = [
         name
         for name in list_addable(subject.machine, without.effects, criteria, instead_of=instead_of)
@@ -230,7 +230,7 @@ def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[ParameterGr
     """The machine's own numbers that are not refitted yet, in a cause's place."""
     recording = subject.recording
     jacobian = without.jacobian[recording.used]
-    free = find_nuisance(jacobian[:, without.interior])
+    free = without.find_nuisance(recording.used)
     found = []
     for group in machine_groups(subject.machine):
         if group in refitted:
@@ -313,7 +313,7 @@ def cause_significance(subject: Subject, fit: Fit, group: ParameterGroup) -> flo
     recording, columns = subject.recording, fit.model.columns
     inside = np.array([c.group == group for c in columns]) & fit.free
     X = fit.jacobian[recording.used]
-    free = find_nuisance(X[:, fit.interior & ~inside])
+    free = fit.find_nuisance(recording.used, inside)
     Z = free.project(X[:, inside])
     # What the group contributes at the fit stands in for the sizes that the parameters started from.
     if group.is_candidate:

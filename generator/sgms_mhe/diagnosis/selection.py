@@ -34,7 +34,7 @@ from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.rivals import Contest, Selection, cause_significance, find_rivals
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import cause, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force, noise_floor
+from sgms_mhe.recordings.evidence import difference_statistic, gain_force, noise_floor
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 
@@ -146,7 +146,7 @@ def _candidates(
     subject: Subject, current: Fit, names: Sequence[str], seen: Collection[str], criteria: Criteria
 ) -> list[Ranked]:
     """The best proposal of every effect that is searched."""
-    free = find_nuisance(current.jacobian[subject.recording.used][:, current.interior])
+    free = current.find_nuisance(subject.recording.used)
 
     def ranked(wanted: Sequence[str]) -> list[Ranked]:
         return rank_proposals(subject, current, search(subject, current, wanted, free))

@@ -7,6 +7,7 @@ Each record in turn is held out of the fit of that, and what the others say is j
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,17 +22,18 @@ from sgms_mhe.diagnosis.final_fit import split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject
 from sgms_mhe.diagnosis.joint_fit import JointFit, Member
 from sgms_mhe.diagnosis.joint_numbers import adopt_numbers, drop_causes, find_common, theta_without
-from sgms_mhe.diagnosis.laws import other_law
+from sgms_mhe.diagnosis.laws import SHARPER, other_law
 from sgms_mhe.diagnosis.learned import LearnedRecord
 from sgms_mhe.diagnosis.learned_machine import judge_learned
 from sgms_mhe.diagnosis.origin import A_PERIOD, find_pitches, find_reach, search_origin
 from sgms_mhe.diagnosis.other_record import JudgedRecord, Origin, TransferredCause
+from sgms_mhe.diagnosis.preparation import prepare_log
 from sgms_mhe.diagnosis.record_fit import RecordFit, shift_position
 from sgms_mhe.diagnosis.result import Cause, Diagnosis
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import gain_force, gain_interval, noise_floor
-from sgms_mhe.recordings.excerpt import make_excerpt
-from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 
@@ -48,15 +50,18 @@ def judge_on_records(
     others: Sequence[Log],
     report: Callable[[str], None],
     held_out_s: Intervals | None = None,
+    *,
+    together: bool = False,
 ) -> Diagnosis:
     """Return a diagnosis with its numbers fitted to several records, and its causes judged on each by the others.
 
     Args:
-        found: of the first record.
+        found: of the first record, or of all of them.
         log: that record.
         others: logs of the same axis.
         report: called with each record's name.
         held_out_s: as of `diagnose`, of the first record.
+        together: whether the diagnosis is of all records.
 
     Raises:
         InputError: a log that does not fit the machine.
@@ -68,16 +73,17 @@ def judge_on_records(
         aligned = in_step(one, found.offset_s) if found.offset_s else one
         origin = _find_origin(found, aligned) if records else None  # places count from that of the first
         records.append(_AxisRecord.along(found, aligned, origin, None if records else held_out_s))
+    asked = records if together else records[1:]
     judged = [
-        record.judge(found, found.causes, _follow_others(found, records, record, found.causes))
-        for record in records[1:]
+        record.judge(found, found.causes, _follow_others(found, records, record, found.causes, together))
+        for record in asked
     ]
-    causes = tuple(
-        replace(cause, transfers=_transfers(cause, [record for record, _ in judged])) for cause in found.causes
-    )
+    others_say = [record for record, _ in judged]
+    causes = tuple(replace(cause, transfers=_holds(cause, others_say, together)) for cause in found.causes)
     log_decision(
         "records",
-        "a cause transfers where its force, by the other records, gains on every further record that shows it",
+        "a cause transfers where its force, by the other records, gains on one that shows it, and loses on none",
+        together=together,
         records=[record.name for record, _ in judged],
         causes={cause.label: cause.transfers for cause in causes},
         gains_N={
@@ -86,19 +92,56 @@ def judge_on_records(
         },
     )
     learned = found.learned
-    if learned is not None:
+    if learned is not None and not together:  # no record is another one where it was learned from all
         learned = replace(learned, records=tuple(with_it for _, with_it in judged if with_it is not None))
     found = replace(found, causes=causes, learned=learned)
     shared = tuple(cause for cause in causes if cause.transfers is not False)
-    first, _ = records[0].judge(found, shared, _follow_others(found, records, records[0], shared))
-    found = replace(found, records=(first, *(record for record, _ in judged)))
+    if not together:
+        judged.insert(0, records[0].judge(found, shared, _follow_others(found, records, records[0], shared)))
+    kept = [record for record, _ in judged]
+    if len(shared) < len(causes):
+        for i in range(1, len(records)):
+            after = drop_causes(_follow_others(found, records, records[i], shared, together), causes, shared)
+            fit = after.fit(after.theta, after.free(), after.seen)
+            kept[i] = replace(kept[i], common_after=split_rms(fit, after.subject.recording)[1])
+    found = replace(found, records=tuple(kept))
     return found if found.extended is None else _fit_together(found, found.extended, records, shared)
 
 
-def _transfers(cause: Cause, records: Sequence[JudgedRecord]) -> bool | None:
-    """Return True if a cause holds on the other records, False if not on one; None: none of them shows it."""
+def predicts_better(found: Diagnosis, other: Diagnosis) -> bool:
+    """Return True if the first of two diagnoses leaves clearly less of further records, each by the others' numbers.
+
+    Or as little, with one answer where the other has several.
+    """
+    left, before = (sum(record.common_after**2 for record in one.records[1:]) for one in (found, other))
+    decides = other.verdict == "ambiguous" and found.verdict == "explained"
+    return left < (SHARPER**-2 if decides else SHARPER**2) * before
+
+
+def leaves_something(found: Diagnosis) -> bool:
+    """Return True if what a first record says leaves a force that matters of the records as one, or several answers."""
+    left = [found.rms.held_out_after, *(record.common_after for record in found.records[1:])]
+    floors = [record.noise_floor_N for record in found.records]
+    beyond = float(np.mean(np.square(left)) - np.mean(np.square(floors)))
+    matters = material_force(found.machine, float(np.sqrt(np.mean(np.square(floors)))))
+    return found.verdict == "ambiguous" or beyond > matters**2
+
+
+def _holds(cause: Cause, records: Sequence[JudgedRecord], together: bool) -> bool | None:
+    """Return True if a cause holds on records by the numbers of the others, False if not; None: too few show it.
+
+    Of the first record it holds where one of the further ones confirms and none refutes it. Of all records together it
+    may be weak on each: it gains on all of them as one, and none refutes it; a cause that one alone shows says nothing
+    of the others. What belongs to a record has another size in each.
+    """
+    if together and cause_definition(cause.name).of_record:
+        return None
     shown = [t for record in records for t in record.causes if t.label == cause.label and t.is_shown]
-    return all(t.gain_interval_N[0] > 0.0 for t in shown) if shown else None
+    gain = sum(math.copysign(t.gain_N**2, t.gain_N) for t in shown)
+    confirmed = gain > 0.0 if together else any(t.gain_interval_N[0] > 0.0 for t in shown)
+    if shown and (not confirmed or any(t.gain_interval_N[1] < 0.0 for t in shown)):
+        return False
+    return True if len(shown) > int(together) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +167,7 @@ class _AxisRecord:
         """Return a log along the extended machine; `held_out_s`: as of `diagnose`."""
         counted_from = origin.candidates_m[0] if origin is not None and origin.candidates_m else 0.0
         recording, file = (
-            shift_position(_prepare(machine, log, held_out_s), -counted_from)
+            shift_position(prepare_log(machine, log, held_out_s), -counted_from)
             for machine in (found.extended or found.machine, found.machine)
         )
         fit = RecordFit.of(Subject.of(found.extended or found.machine, recording)).align()
@@ -161,6 +204,7 @@ class _AxisRecord:
             noise_floor_N=floor,
             origin_m=-self.counted_from,
             origin=self.origin,
+            common_after=split_rms(fit, recording)[1],
             own=self.fit.name_numbers(fit),
             causes=tuple(_judge_cause(after, fit, cause, floor, found) for cause in causes),
         )
@@ -172,7 +216,7 @@ def _find_origin(found: Diagnosis, log: Log) -> Origin | None:
     extended = found.extended or found.machine
     if extended.log is not None and extended.log.homed:
         return None
-    recording = _prepare(extended, log)
+    recording = prepare_log(extended, log)
     known, own = found.traces.position_m[found.traces.used], recording.position[recording.used]
     least, most = float(own.min() - known.max()), float(own.max() - known.min())
     middle, reach = 0.5 * (least + most), 0.5 * min(most - least, find_reach(extended))
@@ -181,20 +225,20 @@ def _find_origin(found: Diagnosis, log: Log) -> Origin | None:
     return origin
 
 
-def _prepare(machine: Machine, log: Log, held_out_s: Intervals | None = None) -> Recording:
-    """Return a log along a machine, of a long one the segments that models are fitted to."""
-    return make_excerpt(add_encoder(prepare(machine, log, held_out_s), log))
-
-
 def _follow_others(
-    found: Diagnosis, records: Sequence[_AxisRecord], held_out: _AxisRecord, causes: Sequence[Cause]
+    found: Diagnosis,
+    records: Sequence[_AxisRecord],
+    held_out: _AxisRecord,
+    causes: Sequence[Cause],
+    together: bool = False,
 ) -> RecordFit:
     """Return a record with the numbers of the extended machine by all others, its position counted as they say.
 
-    By the first alone they are those of its own diagnosis. Without causes that are not among those given.
+    By the first alone they are those of its own diagnosis, unless that is of all records (`together`). Without causes
+    that are not among those given.
     """
     others, fit = [record for record in records if record is not held_out], held_out.fit
-    if others == [records[0]]:
+    if others == [records[0]] and not together:
         return fit
     members = [
         Member(drop_causes(record.fit, found.causes, causes), record.origin_step if i else 0.0)

@@ -1,11 +1,10 @@
-"""`diagnose`: from a log and a machine to a verdict."""
+"""From logs and a machine to a verdict."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
@@ -34,32 +33,30 @@ from sgms_mhe.diagnosis.beginning import (
 )
 from sgms_mhe.diagnosis.causes import name_cause
 from sgms_mhe.diagnosis.combinations import KnownCombination, find_combinations
-from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria
+from sgms_mhe.diagnosis.criteria import ProgressReport, make_criteria
 from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, make_final_fit, split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.harmonics import list_smoothed
 from sgms_mhe.diagnosis.judgement import MOST_WITHOUT_CAUSES, MOSTLY, Judged, allowed_excess, judge
-from sgms_mhe.diagnosis.laws import SHARPER, list_compilations, make_laws, subtract_effects
-from sgms_mhe.diagnosis.learned_machine import add_learned_machine, learn_beside
+from sgms_mhe.diagnosis.laws import SHARPER, make_laws, subtract_effects
+from sgms_mhe.diagnosis.learned_machine import learn_beside
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.numbers import base_parameters, extended_machine
 from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
+from sgms_mhe.diagnosis.preparation import Prepared, prepare_logs
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces
 from sgms_mhe.diagnosis.selection import Searched, drop_effects, search_causes, select_causes
 from sgms_mhe.diagnosis.structure import structure_map
-from sgms_mhe.diagnosis.transfer import judge_on_records
 from sgms_mhe.diagnosis.uncertainty import inertial_noise
 from sgms_mhe.diagnosis.wording import choose_experiment, list_alternatives, summarise
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import gain_interval, noise_floor
-from sgms_mhe.recordings.excerpt import make_excerpt
 from sgms_mhe.recordings.excitation import clock_note, find_steady_blocks, measure_excitation
-from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
-from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.parallel import beside, one_library_thread
+from sgms_mhe.support.parallel import beside
 
 Array = NDArray[np.float64]
 
@@ -75,69 +72,57 @@ MOST_STARTS: Final = 3
 """Times that numbers are identified anew without the causes, at most [1]."""
 
 
-@one_library_thread()
-def diagnose(
+def diagnose_logs(
     machine: Machine,
-    log: Log,
+    logs: Sequence[Log],
+    held_out_s: Sequence[tuple[float, float]] | None,
+    told: ProgressReport,
     *,
-    others: Sequence[Log] = (),
-    progress: Progress | None = None,
-    held_out_s: Sequence[tuple[float, float]] | None = None,
+    is_rough: bool = True,
 ) -> Diagnosis:
-    """Say what a machine's model gets wrong along a log, and why.
+    """Say what a machine's model gets wrong along logs of its axis as one record.
 
     Args:
         machine: the axis as it is believed to be.
-        log: what was measured.
-        others: further records of this axis: the numbers are fitted to all, the causes judged on each.
-        progress: called with each step and the share of the work before it.
-        held_out_s: intervals since the log's start [s] that no fit behind a reported gain may see; None: a third of the
-            record, in blocks.
+        logs: one or several; what belongs to each is free in it.
+        held_out_s: as of `diagnose`, of the first log.
+        told: of each step.
+        is_rough: whether the file's numbers may be far from the record's.
 
     Raises:
-        InputError: the log does not fit the machine, has too few usable samples, or a model of it is not finite.
+        InputError: a log does not fit the machine, or has too few usable samples.
+        FitError: a model is not finite along the record.
     """
-    started = time.monotonic()
-    told = ProgressReport(progress or (lambda step, share: None))
-    try:
-        told.report_start()
-        file = _prepare(drop_disturbance(machine), log, held_out_s)
-        begun = None
-        if _is_excited(file.recording, file.nominal):
-            begun = begin_from_record(
-                file.recording, file.nominal, told.report_identification, has_force=not log.is_friction_alone
-            )
-        found = _diagnose_begun(file, begun, log, held_out_s, told)
-        found = add_learned_machine(found, log)
-        found = judge_on_records(found, log, others, told.report_record, held_out_s) if others else found
-    except FitError as error:
-        raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
-    return replace(found, seconds=time.monotonic() - started)
+    file = prepare_logs(drop_disturbance(machine), logs, held_out_s)
+    begun, has_force = None, not all(log.is_friction_alone for log in logs)
+    if is_rough and _is_excited(file.recording, file.nominal):
+        begun = begin_from_record(file.recording, file.nominal, told.report_identification, has_force=has_force)
+    return _diagnose_begun(file, begun, logs, held_out_s, told)
 
 
 def _diagnose_begun(
-    file: _Prepared,
+    file: Prepared,
     begun: RecordStart | None,
-    log: Log,
+    logs: Sequence[Log],
     held_out_s: Sequence[tuple[float, float]] | None,
     told: ProgressReport,
 ) -> Diagnosis:
     """Diagnose from the record's numbers where there are any; from the file's where no model of those is finite."""
     if begun is not None:
         try:
-            found, without = _diagnose_aligned(file, begun, log, held_out_s, told)
-            return _diagnose_again(file, begun, found, without, log, held_out_s, told)
+            found, without = _diagnose_aligned(file, begun, logs, held_out_s, told)
+            return _diagnose_again(file, begun, found, without, logs, held_out_s, told)
         except FitError as error:
             log_decision("beginning", "file stays: a model of the record's numbers is not finite", reason=str(error))
-    return _diagnose_aligned(file, None, log, held_out_s, told)[0]
+    return _diagnose_aligned(file, None, logs, held_out_s, told)[0]
 
 
 def _diagnose_again(
-    file: _Prepared,
+    file: Prepared,
     begun: RecordStart,
     found: Diagnosis,
     without: Recording,
-    log: Log,
+    logs: Sequence[Log],
     held_out_s: Sequence[tuple[float, float]] | None,
     told: ProgressReport,
 ) -> Diagnosis:
@@ -148,7 +133,7 @@ def _diagnose_again(
         begun: the record's numbers.
         found: the diagnosis from these.
         without: the record without its causes.
-        log: as it was read.
+        logs: as they were read.
         held_out_s: as of `diagnose`.
         told: of each step.
 
@@ -158,16 +143,15 @@ def _diagnose_again(
     """
     if not found.is_rough:
         log_decision("beginning", "the file's numbers hold beside the causes: diagnosed from them")
-        return _diagnose_aligned(file, None, log, held_out_s, told)[0]
+        return _diagnose_aligned(file, None, logs, held_out_s, told)[0]
+    has_force = not all(log.is_friction_alone for log in logs)
     for _ in range(MOST_STARTS):
         if not found.causes or found.rms.held_out_after < UNCLEAR * found.noise_floor_N:
             break
-        anew = identify_start(
-            without, file.machine, begun.mass, told.report_identification, has_force=not log.is_friction_alone
-        )
+        anew = identify_start(without, file.machine, begun.mass, told.report_identification, has_force=has_force)
         if anew is None:
             break
-        again, without = _diagnose_aligned(file, anew, log, held_out_s, told)
+        again, without = _diagnose_aligned(file, anew, logs, held_out_s, told)
         log_decision(
             "beginning",
             "numbers identified without the causes, where they leave less",
@@ -181,9 +165,9 @@ def _diagnose_again(
 
 
 def _diagnose_aligned(
-    file: _Prepared,
+    file: Prepared,
     begun: RecordStart | None,
-    log: Log,
+    logs: Sequence[Log],
     held_out_s: Sequence[tuple[float, float]] | None,
     told: ProgressReport,
 ) -> tuple[Diagnosis, Recording]:
@@ -192,59 +176,30 @@ def _diagnose_aligned(
     Args:
         file: the log along the machine of the file.
         begun: the record's numbers, to begin from these; None: from the file's.
-        log: as it was read.
+        logs: as they were read.
         held_out_s: as of `diagnose`.
         told: of each step.
     """
-    machine, offset = file.machine, 0.0
+    machine, offset, source = file.machine, 0.0, logs[0].source
     most = TIMING_MOST * machine.sampling.step
-    prepared = file if begun is None else _prepare(begun.machine, log, held_out_s)
-    found, without = _diagnose_log(prepared, log, told, file, begun)
+    prepared = file if begun is None else prepare_logs(begun.machine, logs, held_out_s)
+    found, without = _diagnose_log(prepared, source, told, file, begun)
     while (more := sampling_offset(found)) and abs(offset + more) <= most:
         offset += more
         log_decision("record", "force put in step with position, and diagnosed again", offset_s=offset, most_s=most)
-        late = in_step(log, offset)
-        found, without = _diagnose_log(_prepare(prepared.machine, late, held_out_s), late, told, file, begun)
+        late = prepare_logs(prepared.machine, [in_step(log, offset) for log in logs], held_out_s)
+        found, without = _diagnose_log(late, source, told, file, begun)
     return replace(found, offset_s=offset, warnings=(*offset_notes(machine, offset), *found.warnings)), without
 
 
-@dataclass(frozen=True, eq=False)
-class _Prepared:
-    """A log along a machine: all of it, the part that models are fitted to, the machine as it is."""
-
-    record: Recording
-    recording: Recording
-    nominal: Fit
-
-    @property
-    def machine(self) -> Machine:
-        """Whose signal chain the log went through."""
-        return self.record.machine
-
-    def residual_along(self, record: Recording, sampled: Array) -> RecordResidual:
-        """Return the residual of this machine as it is on the rows of another one's record of the same log.
-
-        `sampled`: as of an alignment.
-        """
-        rows = {name: getattr(record, name) for name in ("used", "block", "fold", "held_out")}
-        return RecordResidual.along(Subject.of(self.machine, replace(self.record, **rows)), self.nominal, sampled)
-
-
-def _prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None) -> _Prepared:
-    record = prepare(machine, log, held_out_s)
-    record = beside(partial(add_encoder, record, log), list_compilations(machine, make_excerpt(record)))
-    recording = make_excerpt(record)
-    return _Prepared(record, recording, fit_model(Subject.of(machine, recording), (), refitted=()))
-
-
 def _diagnose_log(
-    prepared: _Prepared, log: Log, progress: ProgressReport, file: _Prepared, begun: RecordStart | None
+    prepared: Prepared, source: str, progress: ProgressReport, file: Prepared, begun: RecordStart | None
 ) -> tuple[Diagnosis, Recording]:
     """The diagnosis of a log as it is, and the record without its causes.
 
     Args:
         prepared: the log along the machine to begin from.
-        log: as it was read.
+        source: of the log.
         progress: told of each step.
         file: the log along the machine of the file.
         begun: the record's numbers, where these are the beginning.
@@ -254,7 +209,7 @@ def _diagnose_log(
         if recording is not record:
             # A long rest may hold all pieces; a whole record costs no more than this one run.
             recording, nominal = record, fit_model(Subject.of(machine, record), (), refitted=())
-        return _report_standstill(file.machine, log, recording, nominal), recording
+        return _report_standstill(file.machine, source, recording, nominal), recording
     progress.report_base()
     floor = noise_floor(recording, nominal.residual)
     smear = recording.rms(find_chain_error(Subject.of(machine, recording), nominal))
@@ -262,12 +217,12 @@ def _diagnose_log(
     record, recording = whole, whole if recording is record else replace(recording, is_smeared=whole.is_smeared)
     one_speed = find_steady_blocks(record) is not None
     measured = measure_excitation(record.signals, machine)
-    criteria = make_criteria(machine, floor, measured, progress, one_speed=one_speed)
+    criteria = make_criteria(machine, floor, measured, progress, one_speed=one_speed, several=record.of_log is not None)
     log_decision(
         "record",
         "noise floor, gain that matters, and effects that the motion can show",
-        source=log.source,
-        samples=len(log),
+        source=source,
+        samples=len(record.signals),
         residual_rows=int(record.used.sum()),
         noise_floor_N=floor,
         material_N=criteria.material,
@@ -289,7 +244,7 @@ def _diagnose_log(
     if begun is not None:
         final = replace(final, nominal_residual=file.residual_along(record, final.subject.alignment.sampled))
     without = subtract_effects(final.subject.whole, judged.found.selection.fit)
-    return _diagnosis(file.machine, log, final, judged, begun, left_out), without
+    return _diagnosis(file.machine, source, final, judged, begun, left_out), without
 
 
 def _judge_search(
@@ -314,7 +269,7 @@ def _is_excited(recording: Recording, nominal: Fit) -> bool:
 
 def _diagnosis(
     machine: Machine,
-    log: Log,
+    source: str,
     final: FinalFit,
     judged: Judged,
     begun: RecordStart | None,
@@ -324,7 +279,7 @@ def _diagnosis(
 
     Args:
         machine: of the file.
-        log: as it was read.
+        source: of the log.
         final: fit of the selection.
         judged: the verdict.
         begun: the record's numbers, where these were the beginning; else None.
@@ -350,7 +305,7 @@ def _diagnosis(
     hidden_by = min(encoder, held_after) if encoder**2 > MOSTLY * held_after**2 else 0.0
     return Diagnosis(
         machine=machine,
-        source=log.source,
+        source=source,
         verdict=verdict,
         summary=summarise(
             verdict, causes, rivals, held_before, held_after, machine.plant.units, hidden_by, is_rough=begun is not None
@@ -449,7 +404,7 @@ def _traces(
 ) -> Traces:
     measured = recording.reduce(recording.signals.friction)
     return Traces(
-        time_s=recording.time,
+        time_s=recording.time if recording.of_log is None else np.arange(len(recording.time)) / recording.rate,
         position_m=recording.position,
         velocity_m_s=recording.velocity,
         acceleration_m_s2=recording.acceleration,
@@ -466,14 +421,14 @@ def _traces(
     )
 
 
-def _report_standstill(machine: Machine, log: Log, recording: Recording, nominal: Fit) -> Diagnosis:
+def _report_standstill(machine: Machine, source: str, recording: Recording, nominal: Fit) -> Diagnosis:
     rms, held = split_rms(nominal, recording)
     maps = structure_map(recording, nominal.residual)
     floor = noise_floor(recording, nominal.residual)
     excess = math.sqrt(max(0.0, nominal.rms**2 - floor**2))
     return Diagnosis(
         machine=machine,
-        source=log.source,
+        source=source,
         verdict="adequate" if excess < allowed_excess(machine, floor) else "unexplained",
         summary="There is no excitation in this record: the axis hardly moves, so nothing can be said about friction.",
         causes=(),

@@ -5,18 +5,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.encoder import encoder_noise
+from sgms_mhe.recordings.joining import drop_rows, join_recordings
 from sgms_mhe.recordings.path import SEED as STEPS_SEED
 from sgms_mhe.recordings.path import bridge_gaps, displacements, reading_error, smooth_path, thin_path
 from sgms_mhe.recordings.recording import Recording, Runs, add_encoder, position_error, prepare
 from sgms_mhe.recordings.series import row_means
-from sgms_mhe.signals.chain import Signals, apply_chain, readings
+from sgms_mhe.signals.chain import apply_chain, readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import encoder_step, noise_course
 
@@ -156,7 +157,7 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
     return Records(
         machine=machine,
         names=names,
-        rows=replace(_join(recordings), acceleration_noise=float(np.mean(noise**2))),
+        rows=replace(join_recordings(recordings), acceleration_noise=float(np.mean(noise**2))),
         coarse=tuple(filter_motion(recording) for recording in recordings),
         fine=fine,
         resolution=max(resolutions),
@@ -179,36 +180,6 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
             tuple(_encoder_motion(*one) for one in zip(recordings, logs, ways, strict=True))
             for ways in zip(*(thin_path(path[0]) for path in paths), strict=True)
         ),
-    )
-
-
-def _join(recordings: Sequence[Recording]) -> Recording:
-    """Rows of several recordings behind one another, blocks numbered through."""
-    first = recordings[0]
-    if len(recordings) == 1:
-        return first
-    offsets = np.cumsum([0, *(r.blocks for r in recordings)])
-
-    def joined(name: str) -> Array:
-        return np.concatenate([getattr(r, name) for r in recordings])
-
-    signals: dict[str, Any] = {
-        name: np.concatenate([getattr(r.signals, name) for r in recordings])
-        for name, value in vars(first.signals).items()
-        if isinstance(value, np.ndarray)
-    }
-    arrays: dict[str, Any] = {
-        name: joined(name)
-        for name in ("clock", "time", "position", "velocity", "acceleration", "force", "friction", "used", "fold")
-    }
-    blocks = [np.where(r.block >= 0, r.block + k, -1) for r, k in zip(recordings, offsets[:-1], strict=True)]
-    return replace(
-        first,
-        **arrays,
-        signals=Signals(**signals, delay=first.signals.delay),
-        block=np.concatenate(blocks),
-        held_out=np.concatenate([r.held_out for r in recordings]),
-        warnings=tuple(w for r in recordings for w in r.warnings),
     )
 
 
@@ -301,15 +272,5 @@ def drop_start(records: Records, distance: float) -> Records:
                 f"{name}: no excursion of {FORGOTTEN * distance:.2g} {length} soon; friction is taken to begin relaxed"
             )
         first += motion.rows
-    used = rows.used & ~unknown
-    left = np.unique(rows.block[used])
-    number = np.full(rows.blocks, -1)
-    number[left] = np.arange(len(left))
-    fewer = replace(
-        rows,
-        used=used,
-        block=np.where(used, number[rows.block], -1),
-        fold=rows.fold[left],
-        held_out=rows.held_out[left],
-    )
+    fewer = drop_rows(rows, unknown)
     return replace(records, rows=fewer, warnings=(*records.warnings, *kept))

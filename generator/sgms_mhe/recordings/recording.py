@@ -118,6 +118,7 @@ class Recording:
         has_own_speeds: whether its log brings a velocity or an acceleration, which then do not come from its position.
         is_smeared: whether the chain's low-passes change friction more than the noise hides: its force then passes
             them, not its motion.
+        of_log: which of several logs, one behind the other, each row is of (m); None: there is one.
         runs: the newest ones of models along it; copies share them.
     """
 
@@ -142,6 +143,7 @@ class Recording:
     acceleration_noise: float = 0.0
     has_own_speeds: bool = False
     is_smeared: bool = True
+    of_log: Index | None = None
     runs: Runs = field(default_factory=Runs, repr=False)
 
     @property

@@ -314,7 +314,7 @@ def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
         "label": c.label,
         "wrong_number": wrong,
         "stands_in": c.stands_in,
-        "transfers": "" if c.transfers is None else "transfers" if c.transfers else "of this record alone",
+        "transfers": "" if c.transfers is None else "transfers" if c.transfers else "not of every record",
         "parameters": [
             {
                 "words": split_name(name)[0],

@@ -1,0 +1,49 @@
+"""Numbers that each of several joined logs has of its own, beside those that they have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.parametrisation import JacobianColumn
+from sgms_mhe.model.effects import cause
+from sgms_mhe.recordings.recording import Recording
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class OwnNumbers:
+    """What belongs to each log: an offset; and, about the mean of all, the base model's numbers of a record.
+
+    Attributes:
+        columns: derivatives of the friction in them (m, q).
+        force: what they make up for in a residual (m) [N].
+    """
+
+    columns: Array
+    force: Array
+
+    @classmethod
+    def of(
+        cls, recording: Recording, model: Sequence[JacobianColumn], jacobian: Array, residual: Array, seen: Mask
+    ) -> OwnNumbers | None:
+        """Return those that leave least of a residual (m) [N] on the rows seen (m); None where there is one log.
+
+        `jacobian` (m, n_p): of the model's friction. To first order about the mean of the logs.
+        """
+        if recording.of_log is None:
+            return None
+        own = [i for i, c in enumerate(model) if not c.group.is_candidate and cause(c.group.cause).of_record]
+        inside = recording.of_log[:, None] == np.arange(int(recording.of_log[-1]) + 1)
+        apart = inside[:, 1:].astype(np.float64) - inside[:, :1]
+        columns = np.column_stack((inside, (jacobian[:, own, None] * apart[:, None, :]).reshape(len(residual), -1)))
+        return cls(columns, columns @ np.linalg.lstsq(columns[seen], residual[seen], rcond=1e-9)[0])
+
+    def project(self, series: Array, seen: Mask) -> Array:
+        """Return columns (m, k) without what these numbers make up for on the rows seen (m)."""
+        return np.asarray(series - self.columns @ np.linalg.lstsq(self.columns[seen], series[seen], rcond=1e-9)[0])

@@ -1,0 +1,68 @@
+"""Several recordings as one: rows one log behind the other, blocks numbered through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.recordings.recording import Recording, Runs
+from sgms_mhe.signals.chain import Signals
+
+Mask = NDArray[np.bool_]
+
+
+def join_recordings(recordings: Sequence[Recording]) -> Recording:
+    """Rows of several recordings behind one another, blocks numbered through; of one that itself.
+
+    Time begins anew with each. Where an encoder's steps show in some logs, it adds nothing in the others.
+    """
+    first = recordings[0]
+    if len(recordings) == 1:
+        return first
+    if any(r.noise is not None for r in recordings):
+        recordings = [
+            r if r.noise is not None else replace(r, noise=np.zeros((len(r.signals), 3)), misread=r.unfiltered)
+            for r in recordings
+        ]
+    offsets = np.cumsum([0, *(r.blocks for r in recordings)])
+
+    def joined(name: str) -> Any:
+        parts = [getattr(r, name) for r in recordings]
+        return None if any(part is None for part in parts) else np.concatenate(parts)
+
+    signals: dict[str, Any] = {
+        name: np.concatenate([getattr(r.signals, name) for r in recordings])
+        for name, value in vars(first.signals).items()
+        if isinstance(value, np.ndarray)
+    }
+    names = ("clock", "time", "position", "velocity", "acceleration", "force", "friction", "used", "fold", "held_out")
+    arrays: dict[str, Any] = {name: joined(name) for name in (*names, "noise", "unfiltered", "misread")}
+    blocks = [np.where(r.block >= 0, r.block + k, -1) for r, k in zip(recordings, offsets[:-1], strict=True)]
+    return replace(
+        first,
+        **arrays,
+        signals=Signals(**signals, delay=first.signals.delay),
+        block=np.concatenate(blocks),
+        warnings=tuple(w for r in recordings for w in r.warnings),
+        of_log=np.repeat(np.arange(len(recordings)), [len(r.time) for r in recordings]),
+        runs=Runs(),
+    )
+
+
+def drop_rows(recording: Recording, rows: Mask) -> Recording:
+    """Return a recording some of whose rows (m) do not count; blocks that have no others are none."""
+    used = recording.used & ~rows
+    left = np.unique(recording.block[used])
+    number = np.full(recording.blocks, -1)
+    number[left] = np.arange(len(left))
+    return replace(
+        recording,
+        used=used,
+        block=np.where(used, number[recording.block], -1),
+        fold=recording.fold[left],
+        held_out=recording.held_out[left],
+    )

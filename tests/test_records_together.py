@@ -1,0 +1,130 @@
+"""Causes sought in several records as one: what the first does not show, what is weak in each, a strange first one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cli_cases import SMALL
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.diagnosis.alignment import find_step_error
+from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.diagnosis.preparation import prepare_logs
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.logs import Log
+
+Hidden = Sequence[tuple[str, Mapping[str, float]]]
+DRAG = ("quadratic_drag", {"coefficient_N_s2_m2": 1.5})
+LONG_RIPPLE = ("force_ripple", {"amplitude_N": 0.6, "pitch_m": 0.3, "phase_rad": 0.4})
+WEAK_RIPPLE = ("force_ripple", {"amplitude_N": 0.045, "pitch_m": 0.0171, "phase_rad": 0.4})
+RIPPLE = ("force_ripple", {"amplitude_N": 1.2, "pitch_m": 0.0171, "phase_rad": 0.4})
+ASYMMETRY = ("asymmetric_coulomb", {"ratio": 0.2})
+WARM = {"coulomb": 1.2, "viscous": 1.3}
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    path = tmp_path_factory.mktemp("machine") / "small.toml"
+    path.write_text(SMALL)
+    return override_machine(load_machine(path), {"log": {"homed": True}})
+
+
+def recorded(
+    machine: Machine,
+    seed: int,
+    hidden: Hidden,
+    *,
+    reach: float = 1.0,
+    scale: Mapping[str, float] | None = None,
+    offset: float = 0.0,
+) -> Log:
+    """A record of strokes so many times as long and as fast, with an offset [N] of its own."""
+    own = [*hidden, ("constant_offset", {"force_N": offset})] if offset else hidden
+    motion = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
+    motion = replace(motion, position_m=reach * motion.position_m)
+    config = AxisConfig(seed=seed)
+    log = simulate_axis(machine, motion, config, hidden_effects=own, scale=scale or {}, truth=False).log
+    return replace(log, source=f"record {seed}")
+
+
+def holds(found: Diagnosis) -> dict[str, bool | None]:
+    return {cause.label: cause.transfers for cause in found.causes}
+
+
+def test_what_belongs_to_a_record_is_no_residual_of_all(machine: Machine) -> None:
+    logs = [recorded(machine, 1, ()), recorded(machine, 2, (), scale=WARM, offset=0.3)]
+    alone, joined = (prepare_logs(machine, some, None).recording for some in (logs[:1], logs))
+    own, fit = (fit_model(Subject.of(machine, one), ()) for one in (alone, joined))
+    assert prepare_logs(machine, logs[1:], None).nominal.rms > 4.0 * own.rms
+    # What is left is the age of the force, as in the first alone.
+    assert fit.rms < 1.05 * own.rms
+    assert fit.own is not None and own.own is None
+    offsets = np.linalg.lstsq(fit.own.columns, fit.own.force, rcond=None)[0][:2]
+    assert offsets == pytest.approx([0.0, 0.3], abs=0.03)
+    # No candidate is offered what an offset of one record explains.
+    second = (joined.of_log == 1).astype(np.float64)[joined.used]
+    left = fit.find_nuisance(joined.used).project(second[:, None])
+    assert float(np.linalg.norm(left)) < 1e-6 * float(np.linalg.norm(second))
+
+
+def test_records_that_do_not_meet_have_the_step_errors_of_each(machine: Machine) -> None:
+    logs = [recorded(machine, 1, ()), recorded(machine, 2, ())]
+    moved = [logs[0], replace(logs[1], position_m=logs[1].position_m + 0.7)]
+    errors = []
+    for one in ([logs[0]], moved):
+        subject = Subject.of(machine, prepare_logs(machine, one, None).recording)
+        errors.append((subject, find_step_error(subject, fit_model(subject, (), refitted=()))))
+    (_, first), (together, both) = errors
+    used = together.recording.used[: len(first)]
+    assert np.abs(both[: len(first)] - first)[used].max() < 1e-9 * np.abs(first).max()
+
+
+@pytest.mark.slow
+def test_a_cause_that_the_second_record_alone_excites_is_found(machine: Machine) -> None:
+    slow = recorded(machine, 1, [DRAG], reach=0.15)
+    fast = recorded(machine, 2, [DRAG], scale=WARM, offset=0.3)
+    assert diagnose(machine, slow).verdict == "adequate"
+    found = diagnose(machine, slow, others=[fast])
+    assert holds(found) == {"quadratic_drag": None}  # of one record, others say nothing
+    (cause,) = found.causes
+    (value,), (std,) = cause.parameters.values(), cause.std.values()
+    assert abs(value - 1.5) < 3.0 * std < 0.3
+    assert [record.name for record in found.records] == ["record 1", "record 2"]
+    assert found.records[1].own["coulomb_N"] == pytest.approx(4.8, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_cause_that_is_weak_in_each_record_is_found_in_all(machine: Machine) -> None:
+    logs = [recorded(machine, seed, [WEAK_RIPPLE]) for seed in (11, 12, 13)]
+    assert diagnose(machine, logs[0]).causes == ()
+    found = diagnose(machine, logs[0], others=logs[1:])
+    assert (found.verdict, holds(found)) == ("explained", {"force_ripple": True})
+    for name, value in WEAK_RIPPLE[1].items():
+        assert abs(found.causes[0].parameters[name] - value) < 3.0 * found.causes[0].std[name]
+
+
+@pytest.mark.slow
+def test_a_short_first_record_does_not_decide(machine: Machine) -> None:
+    """A twelfth of a ripple is a spring."""
+    short = recorded(machine, 1, [LONG_RIPPLE], reach=0.05)
+    assert [cause.name for cause in diagnose(machine, short).causes] == ["position_spring"]
+    found = diagnose(machine, short, others=[recorded(machine, 2, [LONG_RIPPLE], scale={"coulomb": 1.1})])
+    assert holds(found) == {"force_ripple": True, "position_spring": False}
+    assert found.causes[0].parameters["pitch_m"] == pytest.approx(0.3, rel=0.02)
+    assert found.extended is not None
+    assert [effect.name for effect in found.extended.effects] == ["force_ripple"]
+    assert any("position_spring: of the first record alone" in limit for limit in found.limits)
+
+
+@pytest.mark.slow
+def test_a_cause_of_the_first_record_alone_stays_that(machine: Machine) -> None:
+    logs = [recorded(machine, 1, [RIPPLE, ASYMMETRY]), *(recorded(machine, seed, [RIPPLE]) for seed in (2, 3))]
+    found = diagnose(machine, logs[0], others=logs[1:])
+    assert holds(found) == {"force_ripple": True, "asymmetric_coulomb": False}
