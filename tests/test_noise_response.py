@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
+from sgms_mhe.diagnosis.alignment import find_sampling_columns
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.uncertainty import (
@@ -136,6 +137,16 @@ def test_what_an_encoders_steps_make_of_the_force_is_known(step_m: float, machin
     recording = read_in_steps(machine, step_m)
     made = rms_of(recording, recording.reduce(machine.plant.moved * (read - true)))
     assert rms_of(recording, inertial_noise(recording)) == pytest.approx(made, rel=0.1)
+
+
+def test_friction_that_was_recorded_itself_holds_no_inertia(machine: Machine) -> None:
+    """No mass was taken off a force: neither its noise nor its timing is that of an acceleration."""
+    log = coarse(machine)
+    alone = replace(log, friction_N=log.force_N)
+    recording = add_encoder(prepare(machine, alone), alone)
+    assert recording.inertia == 0.0
+    assert not inertial_noise(recording).any()
+    assert not find_sampling_columns(Subject.of(machine, recording), np.zeros(len(recording.time))).any()
 
 
 def test_the_noise_floor_knows_an_encoders_steps(machine: Machine) -> None:

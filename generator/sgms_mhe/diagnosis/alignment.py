@@ -177,7 +177,7 @@ def find_sampling_columns(whole: Subject, friction: Array) -> Array:
     A force that is late is late with all that it overcomes: the rate is that of the inertial force, as the log's
     samples have it, and of the model's friction.
     """
-    recording, mass = whole.recording, whole.machine.plant.moved
+    recording, mass = whole.recording, whole.recording.inertia
     step = recording.machine.sampling.step
     jerk = np.gradient(recording.signals.acceleration) / step
     inertial = mass * recording.reduce(np.column_stack((jerk, np.gradient(jerk) / step)))

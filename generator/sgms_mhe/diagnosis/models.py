@@ -194,7 +194,7 @@ class CompiledFit:
         """The same, the drive's force as late as the last parameter says."""
         scale, m = self.columns[self.model.n_p].scale, len(recording.time)
         pieces = list(self._pieces(recording, theta[:-1], derivatives, slice(0, m), self._relaxed()))
-        inertial = recording.machine.plant.moved * recording.signals.acceleration
+        inertial = recording.inertia * recording.signals.acceleration
         drive = np.concatenate([y for _, y, _ in pieces])
         inertial = inertial[: len(drive)]
         drive += inertial

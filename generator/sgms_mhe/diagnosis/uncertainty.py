@@ -68,7 +68,7 @@ def noise_residual(recording: Recording, fit: Fit, theta: Array) -> Array:
 def inertial_noise(recording: Recording) -> Array:
     """Force that the encoder's noise makes of the acceleration (m) [N]: as large as what is in measured friction."""
     noise = add_noise(recording).signals.acceleration - recording.signals.acceleration
-    return recording.reduce(recording.machine.plant.moved * noise)
+    return recording.reduce(recording.inertia * noise)
 
 
 @lru_cache(maxsize=NOISY_CACHED)

@@ -210,16 +210,16 @@ class Recording:
         """RMS over used rows of a series (m)."""
         return float(np.sqrt(np.mean(series[self.used] ** 2)))
 
+    @cached_property
+    def inertia(self) -> float:
+        """Mass whose acceleration the measured friction holds [kg]: none where friction itself was recorded."""
+        is_friction = np.array_equal(self.signals.force, self.signals.friction, equal_nan=True)
+        return 0.0 if is_friction else self.machine.plant.moved
+
     @property
     def steps_inertia(self) -> Array | None:
-        """Force of the acceleration that the encoder's steps make (m) [N]; None where they do not show.
-
-        Where friction itself was measured, no mass was taken off a force.
-        """
-        if self.noise is None:
-            return None
-        is_friction = np.array_equal(self.signals.force, self.signals.friction, equal_nan=True)
-        return (0.0 if is_friction else self.machine.plant.moved) * self.reduce(self.noise[:, 2])
+        """Force of the acceleration that the encoder's steps make (m) [N]; None where they do not show."""
+        return None if self.noise is None else self.inertia * self.reduce(self.noise[:, 2])
 
     def rows_held_out(self) -> Mask:
         """Used rows in held-out blocks (m)."""
