@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cli_cases import SMALL, refused, run
 from diagnosis_cases import explained
@@ -18,12 +19,14 @@ from sgms_mhe.api.inputs import list_sources
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Cause, Diagnosis
 from sgms_mhe.diagnosis.extension import extend_machine
+from sgms_mhe.diagnosis.parametrisation import JacobianColumn, bounds
 from sgms_mhe.diagnosis.result import Rms
 from sgms_mhe.diagnosis.transfer import judge_on_records
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log, write_log
 
 Hidden = Sequence[tuple[str, Mapping[str, float]]]
@@ -242,6 +245,27 @@ def test_a_level_is_the_mean_of_the_records_and_as_uncertain_as_they_differ(mach
     assert cause.transfers is True
     assert cause.parameters["coulomb_N"] == pytest.approx(1.3 * level, rel=0.01)
     assert cause.std["coulomb_N"] == pytest.approx(0.1 * level, rel=0.1)
+
+
+def test_a_number_of_all_records_that_a_bound_stops_has_no_interval(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def limited(columns: Sequence[JacobianColumn], recording: Recording) -> tuple[NDArray[np.float64], ...]:
+        """No amplitude above 1 N, of a ripple of 1.2 N."""
+        lower, upper = bounds(columns, recording)
+        return lower, np.array(
+            [c.theta(1.0) if c.name == "amplitude_N" else u for c, u in zip(columns, upper, strict=True)]
+        )
+
+    for module in ("joint_fit", "fits"):
+        monkeypatch.setattr(f"sgms_mhe.diagnosis.{module}.bounds", limited)
+    low = ("force_ripple", {**RIPPLE[1], "amplitude_N": 0.9})
+    found = together(machine, [RIPPLE], [low], [recorded(machine, 2, [RIPPLE])])
+    (ripple,) = found.causes
+    assert ripple.parameters["amplitude_N"] == pytest.approx(1.0)
+    assert math.isnan(ripple.std["amplitude_N"])
+    assert ripple.vague == ("amplitude_N",)
+    assert ripple.std["pitch_m"] > 0.0
 
 
 def test_one_log_or_several_are_sources() -> None:

@@ -14,7 +14,6 @@ from sgms_mhe.diagnosis.models import (
     CompiledFit,
     FitError,
     LeastSquares,
-    ModelPoint,
     Prior,
     diverges,
     make_model,
@@ -334,7 +333,8 @@ def _fit_here(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | 
     except FitError as error:
         raise EffectsError(str(error), tuple(effect.name for effect in effects)) from None
     # A parameter that its bound holds moves neither with a candidate nor from fold to fold.
-    interior = free & ~find_at_bounds(columns, found, seen, recording)
+    descent = found.jacobian[seen].T @ found.residual[seen]
+    interior = free & ~find_at_bounds(columns, found.theta, descent, recording)
     return Fit(
         model=model,
         effects=tuple(
@@ -403,9 +403,8 @@ def try_fit(
         return None
 
 
-def find_at_bounds(columns: Sequence[JacobianColumn], at: ModelPoint, seen: Mask, recording: Recording) -> Mask:
-    """Parameters at a bound that the rows seen (m) push them against (n_p)."""
-    descent = at.jacobian[seen].T @ at.residual[seen]
+def find_at_bounds(columns: Sequence[JacobianColumn], theta: Array, descent: Array, recording: Recording) -> Mask:
+    """Parameters at theta (n_p) at a bound that a descent (n_p) of the cost pushes them against (n_p)."""
     lower, upper = bounds(columns, recording)
-    near = AT_BOUND * np.maximum(1.0, np.abs(at.theta))
-    return np.asarray(((at.theta <= lower + near) & (descent < 0.0)) | ((at.theta >= upper - near) & (descent > 0.0)))
+    near = AT_BOUND * np.maximum(1.0, np.abs(theta))
+    return np.asarray(((theta <= lower + near) & (descent < 0.0)) | ((theta >= upper - near) & (descent > 0.0)))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import find_encoder_force
-from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, MACHINE_PRIOR, Fit, Subject
+from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, MACHINE_PRIOR, Fit, Subject, find_at_bounds
 from sgms_mhe.diagnosis.models import FitError, LeastSquares, ModelPoint, Prior
 from sgms_mhe.diagnosis.parametrisation import bounds, step_limit
 from sgms_mhe.diagnosis.record_fit import RecordFit, shift_position
@@ -247,6 +247,16 @@ class JointFit:
         spread = np.var(thetas, axis=0, ddof=1) if records > 1 else np.zeros(int(self.own.sum()))
         result[np.ix_(self.own, self.own)] = alone + np.diag(spread)
         return result
+
+    def find_stopped(self, at: JointPoint) -> Mask:
+        """Return the common numbers (n_p) that a bound stops: the records together say that they are beyond."""
+        used = [member.fit.subject.recording.used for member in self.members]
+        descent = np.sum([p.jacobian[u].T @ p.residual[u] for p, u in zip(at.points, used, strict=True)], axis=0)
+        stopped = [
+            find_at_bounds(member.fit.model.columns, point.theta, descent, member.fit.subject.recording)
+            for member, point in zip(self.members, at.points, strict=True)
+        ]
+        return np.asarray(self.common & np.any(stopped, axis=0))
 
     def numbers(self, at: JointPoint) -> Array:
         """Return the numbers (n_p) of the machine: the common ones, and the mean over records of what each has."""

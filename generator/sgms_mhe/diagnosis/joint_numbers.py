@@ -91,6 +91,7 @@ def adopt_numbers(
     free: Mask,
     theta: Array,
     covariance: Array,
+    stopped: Mask,
     causes: Sequence[Cause],
 ) -> Diagnosis:
     """Return a diagnosis with the numbers of several records in its causes and in its extended machine.
@@ -102,6 +103,7 @@ def adopt_numbers(
         free: numbers (n_p) that were fitted.
         theta: the numbers (n_p).
         covariance: of them (n_p, n_p).
+        stopped: numbers (n_p) that a bound stops: how far beyond they are, nothing says.
         causes: that the records have in common.
     """
     kept = {cause.label for cause in found.causes} - {cause.label for cause in causes}
@@ -113,6 +115,7 @@ def adopt_numbers(
         if free[i] and _is_changed(found.machine, column):
             values.setdefault(column.group, {})[column.name] = column.si(float(theta[i]))
             std = math.sqrt(max(0.0, float(covariance[i, i]))) * abs(column.scale)
+            std = math.nan if stopped[i] else std
             deviations.setdefault(column.group, {})[column.name] = std
     friction = dict((found.changes or {}).get("friction", {}))
     friction |= friction_changes(

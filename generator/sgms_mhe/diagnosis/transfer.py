@@ -71,8 +71,7 @@ def judge_on_records(
     for one in (log, *others):
         report(one.source or "another record")
         aligned = in_step(one, found.offset_s) if found.offset_s else one
-        origin = _find_origin(found, aligned) if records else None  # places count from that of the first
-        records.append(_AxisRecord.along(found, aligned, origin, None if records else held_out_s))
+        records.append(_AxisRecord.along(found, aligned, bool(records), None if records else held_out_s))
     asked = records if together else records[1:]
     judged = [
         record.judge(found, found.causes, _follow_others(found, records, record, found.causes, together))
@@ -163,14 +162,18 @@ class _AxisRecord:
     origin: Origin | None
 
     @classmethod
-    def along(cls, found: Diagnosis, log: Log, origin: Origin | None, held_out_s: Intervals | None) -> _AxisRecord:
-        """Return a log along the extended machine; `held_out_s`: as of `diagnose`."""
+    def along(cls, found: Diagnosis, log: Log, is_further: bool, held_out_s: Intervals | None) -> _AxisRecord:
+        """Return a log along the extended machine; `held_out_s`: as of `diagnose`.
+
+        Places count from the origin of the first record, which a further one (`is_further`) has to tell.
+        """
+        extended = found.extended or found.machine
+        recording = prepare_log(extended, log, held_out_s)
+        file = recording if found.extended is None else prepare_log(found.machine, log, held_out_s)
+        origin = _find_origin(found, recording, log) if is_further else None
         counted_from = origin.candidates_m[0] if origin is not None and origin.candidates_m else 0.0
-        recording, file = (
-            shift_position(prepare_log(machine, log, held_out_s), -counted_from)
-            for machine in (found.extended or found.machine, found.machine)
-        )
-        fit = RecordFit.of(Subject.of(found.extended or found.machine, recording)).align()
+        recording, file = (shift_position(one, -counted_from) for one in (recording, file))
+        fit = RecordFit.of(Subject.of(extended, recording)).align()
         return cls(log.source or "log", fit, file, counted_from, origin)
 
     @property
@@ -211,12 +214,11 @@ class _AxisRecord:
         return record, with_it
 
 
-def _find_origin(found: Diagnosis, log: Log) -> Origin | None:
+def _find_origin(found: Diagnosis, recording: Recording, log: Log) -> Origin | None:
     """Return what another record tells of its origin; None where the axis is homed."""
     extended = found.extended or found.machine
     if extended.log is not None and extended.log.homed:
         return None
-    recording = prepare_log(extended, log)
     known, own = found.traces.position_m[found.traces.used], recording.position[recording.used]
     least, most = float(own.min() - known.max()), float(own.max() - known.min())
     middle, reach = 0.5 * (least + most), 0.5 * min(most - least, find_reach(extended))
@@ -273,7 +275,9 @@ def _fit_together(
         residual_N=[fit.rms for fit in joint.fits(at)],
         origins_m=at.origins.tolist(),
     )
-    return adopt_numbers(found, extended, first, joint.free, joint.numbers(at), covariance, shared)
+    return adopt_numbers(
+        found, extended, first, joint.free, joint.numbers(at), covariance, joint.find_stopped(at), shared
+    )
 
 
 def _judge_cause(after: RecordFit, fit: Fit, cause: Cause, floor: float, found: Diagnosis) -> TransferredCause:
