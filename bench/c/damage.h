@@ -12,9 +12,11 @@ enum {
     PHASE,
     VERSION,
     SETTINGS,
+    CHI,
 #if SPREADS
     VARIANCES,
     SQUARES,
+    MEANS,
 #endif
 #if WINDOW
     CURSOR,
@@ -31,6 +33,34 @@ enum {
 #endif
     DAMAGES
 };
+
+#if SPREADS
+/* Bits of numbers into the sum over those of lasting errors. */
+static inline void sum_lasting(machine *axis, const machine_real *numbers, int count)
+{
+    for (int i = 0; i < count; i++) {
+        union {
+            machine_real x;
+            uint32_t narrow;
+            uint64_t wide;
+        } const number = {numbers[i]};
+        axis->lasting.sum *= 31u;
+        axis->lasting.sum += sizeof(machine_real) == 4 ? number.narrow : number.wide;
+    }
+}
+
+/* Lasting errors as an axis may have found them itself. */
+static inline void seal_lasting(machine *axis)
+{
+    axis->lasting.sum = 0;
+    sum_lasting(axis, &axis->lasting.squares, 1);
+    sum_lasting(axis, &axis->lasting.information, 1);
+    sum_lasting(axis, axis->lasting.theta, PARAMETERS);
+    sum_lasting(axis, axis->lasting.variance, PARAMETERS);
+    sum_lasting(axis, axis->lasting.moved, PARAMETERS);
+    sum_lasting(axis, axis->lasting.taken, PARAMETERS);
+}
+#endif
 
 /* Put a number in the place of one. */
 static inline void damage(machine *axis, int which, int32_t value)
@@ -51,15 +81,24 @@ static inline void damage(machine *axis, int which, int32_t value)
     case SETTINGS:
         axis->settings.measurement *= (machine_real)value;
         break;
+    case CHI: /* about the largest that may be */
+        axis->interval.blocks[0] = (machine_real)value * IMPLAUSIBLE /
+                                   (inverse_initial_state[0] * axis->parameters.scale[0]);
+        break;
 #if SPREADS
     case VARIANCES: /* at the end of a block */
         axis->lasting.intervals = LASTING_BLOCK - 1;
         for (int p = 0; p < PARAMETERS; p++) {
             axis->lasting.variance[p] = (machine_real)0;
         }
+        seal_lasting(axis);
         break;
     case SQUARES:
         axis->lasting.squares = (machine_real)value * axis->lasting.information;
+        seal_lasting(axis);
+        break;
+    case MEANS: /* told by their sum */
+        axis->lasting.taken[0] += (machine_real)value;
         break;
 #endif
 #if WINDOW

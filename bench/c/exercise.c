@@ -271,6 +271,12 @@ static void lose_one(void)
         take_sample(place % 2 ? none : good, place % 2 ? (machine_real)1 : (machine_real)(zero / zero));
         move(0.0, between);
     }
+    for (long lost = SETTLE; lost <= (long)SETTLE + 1; lost++) { /* as long as the last velocity holds, and longer */
+        for (long k = 0; k < lost; k++) {
+            take_sample(CALL(position_from_metres)(zero / zero), (machine_real)1);
+        }
+        move(0.0, between);
+    }
 }
 
 /* The slower task does not come for an interval; then it does. */

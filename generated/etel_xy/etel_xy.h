@@ -79,7 +79,7 @@ typedef struct {
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "de03b466533e" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0x9b414d26u
+#define ETEL_XY_HEADER 0x9f255339u
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0xde03b466u
 #define ETEL_XY_SAVED_MACHINE_1 0x533eu
@@ -97,7 +97,8 @@ enum {
     ETEL_XY_HOLD = 4,     /* the axis hardly moved: parameters hold */
     ETEL_XY_BOUND = 8,    /* a parameter is at its bound */
     ETEL_XY_SPEED = 16,   /* faster than max_velocity, 1.0 m/s */
-    ETEL_XY_OVERRUN = 32, /* samples were lost: feedback was not called in time */
+    /* samples were lost: feedback was not called in time, or a count of them is damaged */
+    ETEL_XY_OVERRUN = 32,
     /* measurements contradict the model beyond their stated noise: they count less */
     ETEL_XY_DOUBT = 64,
     ETEL_XY_STALE = 128,  /* of estimate(): no update for more than two intervals */
@@ -254,6 +255,7 @@ typedef struct {
         /* over blocks: squared moves, variance taken, over that before */
         etel_xy_real moved[ETEL_XY_PARAMETERS], taken[ETEL_XY_PARAMETERS];
         int32_t intervals; /* in the block */
+        uint64_t sum; /* of the bits of all above from `squares` on, as it was left */
     } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */
         etel_xy_real state[ETEL_XY_STATES], theta[ETEL_XY_PARAMETERS];

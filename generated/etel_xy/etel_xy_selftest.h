@@ -33,6 +33,7 @@ enum {
 #define SELFTEST_TOLERANCE 2e-07 /* relative, of friction and parameters */
 #define SELFTEST_COARSE 2e-06 /* of deviations and readings */
 #define SELFTEST_AHEAD 0.001 /* of the force, which is carried on by other steps */
+#define FLOW_TOLERANCE 1e-09 /* of a displacement over the elements' own, and of its derivatives */
 #define SELFTEST_LARGEST 2.4371632 /* N, friction */
 #define SELFTEST_FARTHEST 0.00018380899 /* m, deflection */
 #define SELFTEST_UNIT 1e-07 /* N, of the motion's friction */

@@ -82,7 +82,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "b2f02b278d27" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x5f92a15eu
+#define ETEL_XY_CONTROLLER_HEADER 0x80d00b53u
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xb2f02b27u
@@ -101,7 +101,8 @@ enum {
     ETEL_XY_CONTROLLER_HOLD = 4,     /* the axis hardly moved: parameters hold */
     ETEL_XY_CONTROLLER_BOUND = 8,    /* a parameter is at its bound */
     ETEL_XY_CONTROLLER_SPEED = 16,   /* faster than max_velocity, 1.0 m/s */
-    ETEL_XY_CONTROLLER_OVERRUN = 32, /* samples were lost: feedback was not called in time */
+    /* samples were lost: feedback was not called in time, or a count of them is damaged */
+    ETEL_XY_CONTROLLER_OVERRUN = 32,
     /* measurements contradict the model beyond their stated noise: they count less */
     ETEL_XY_CONTROLLER_DOUBT = 64,
     ETEL_XY_CONTROLLER_STALE = 128,  /* of estimate(): no update for more than two intervals */
@@ -272,6 +273,7 @@ typedef struct {
         etel_xy_controller_real moved[ETEL_XY_CONTROLLER_PARAMETERS],
             taken[ETEL_XY_CONTROLLER_PARAMETERS];
         int32_t intervals; /* in the block */
+        uint32_t sum; /* of the bits of all above from `squares` on, as it was left */
     } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */
         etel_xy_controller_real state[ETEL_XY_CONTROLLER_STATES],

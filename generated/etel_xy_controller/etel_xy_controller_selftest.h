@@ -33,6 +33,7 @@ enum {
 #define SELFTEST_TOLERANCE 1e-04f /* relative, of friction and parameters */
 #define SELFTEST_COARSE 0.001f /* of deviations and readings */
 #define SELFTEST_AHEAD 0.001f /* of the force, which is carried on by other steps */
+#define FLOW_TOLERANCE 3e-05f /* of a displacement over the elements' own, and of its derivatives */
 #define SELFTEST_LARGEST 2.4371562f /* N, friction */
 #define SELFTEST_FARTHEST 0.00018381012f /* m, deflection */
 #define SELFTEST_UNIT 1e-07f /* N, of the motion's friction */

@@ -13,12 +13,25 @@
 /* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for nothing.
  * UNSOUND: none may be, numbers are not those that the code is written for. */
 enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID, UNSOUND };
+/* How the interval under way has started: not yet, anywhere, with the update of the one before,
+ * whose samples are counted since. */
+enum { UNSTARTED, STARTED, UPDATED };
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
 {
     for (int i = 0; i < count; i++) {
         to[i] = from[i];
     }
+}
+
+/* Sum of numbers' bits, going on from another one: any one of them that is another gives another
+ * sum. */
+static sgms_unsigned add_bits(sgms_unsigned sum, const sgms_real *numbers, int count)
+{
+    for (int i = 0; i < count; i++) {
+        sum = 31u * sum + (sgms_unsigned)sgms_bits(numbers[i]);
+    }
+    return sum;
 }
 
 /* The slot of the interval that is filling. */
@@ -138,6 +151,16 @@ static SGMS_COLD void widen_root(const etel_xy_switching_t *self, sgms_real *squ
  * farther over a block than what it takes from their variances. Factors on these variances, 1 where
  * there is no such error, tell of both. */
 
+static sgms_unsigned sum_of_lasting(const etel_xy_switching_t *self)
+{
+    sgms_unsigned sum = add_bits(0u, &self->lasting.squares, 1);
+    sum = add_bits(sum, &self->lasting.information, 1);
+    sum = add_bits(sum, self->lasting.theta, PARAMETERS);
+    sum = add_bits(sum, self->lasting.variance, PARAMETERS);
+    sum = add_bits(sum, self->lasting.moved, PARAMETERS);
+    return add_bits(sum, self->lasting.taken, PARAMETERS);
+}
+
 static void start_lasting(etel_xy_switching_t *self)
 {
     fill(self->lasting.block, 0.0, 3);
@@ -148,6 +171,16 @@ static void start_lasting(etel_xy_switching_t *self)
     fill(self->lasting.variance, 0.0, PARAMETERS); /* there is none yet */
     fill(self->lasting.moved, 1.0, PARAMETERS);
     fill(self->lasting.taken, 1.0, PARAMETERS);
+    self->lasting.sum = sum_of_lasting(self);
+}
+
+/* Means that are not as they were left begin again, with the factors last stated: they outlive
+ * whole blocks, and any might be right. */
+static SGMS_COLD void restore_lasting(etel_xy_switching_t *self)
+{
+    start_lasting(self);
+    copy(self->lasting.moved, self->estimate.spread, PARAMETERS);
+    self->lasting.sum = sum_of_lasting(self);
 }
 
 /* Take an innovation of the newest interval in: over its predicted deviation, with the factor on
@@ -190,6 +223,7 @@ static int take_colour(etel_xy_switching_t *self)
 static void take_wander(
     etel_xy_switching_t *self, int is_end, const sgms_real *theta, const sgms_real *variance)
 {
+    bool is_changed = is_end != 0;
     for (int p = 0; p < PARAMETERS; p++) {
         const sgms_real drift = self->settings.drift[p];
         const bool is_known = self->lasting.variance[p] > 0.0;
@@ -205,7 +239,11 @@ static void take_wander(
         if (is_end || !is_known) {
             self->lasting.theta[p] = theta[p];
             self->lasting.variance[p] = variance[p];
+            is_changed = true;
         }
+    }
+    if (is_changed) {
+        self->lasting.sum = sum_of_lasting(self);
     }
 }
 
@@ -276,7 +314,7 @@ static SGMS_COLD void start_window(
     etel_xy_switching_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->interval.filling = 0;
-    self->interval.started = 0;
+    self->interval.started = UNSTARTED;
     self->innovations.ratio_fast = 1.0;
     self->innovations.ratio_slow = 1.0;
     self->innovations.newest.innovation = 0.0;
@@ -347,16 +385,6 @@ static SGMS_COLD void start_signals(etel_xy_switching_t *self)
     self->interval.net = 0.0;
     state_status(self, first_status(self));
     start_compensation(self);
-}
-
-/* Sum of numbers' bits, going on from another one: any one of them that is another gives another
- * sum. */
-static sgms_unsigned add_bits(sgms_unsigned sum, const sgms_real *numbers, int count)
-{
-    for (int i = 0; i < count; i++) {
-        sum = 31u * sum + (sgms_unsigned)sgms_bits(numbers[i]);
-    }
-    return sum;
 }
 
 static sgms_unsigned sum_of(const etel_xy_switching_settings_t *settings)
@@ -1087,7 +1115,7 @@ static SGMS_COLD int start_again(etel_xy_switching_t *self, int status, int nume
     start_lasting(self);
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
-    self->interval.started = 1;
+    self->interval.started = STARTED;
     begin_writing(self);
     self->estimate.reading = self->innovations.newest;
     self->estimate.status = status;
@@ -1152,6 +1180,8 @@ static int update(etel_xy_switching_t *self)
     sgms_real x[STATES], theta[PARAMETERS], variance[PARAMETERS], scratch[PARAMETERS];
     sgms_real friction = 0.0, weight = 0.0; /* of the newest measurement; 0: none */
     const bool moves = count_motion(self);
+    const bool is_counted =
+        self->interval.started != UPDATED || self->calls.age == (uint32_t)SAMPLES;
     int numeric, status = 0, next = 0;
     sgms_real spread[PARAMETERS];
     while (next_cost(self) > 0) {
@@ -1179,6 +1209,9 @@ static int update(etel_xy_switching_t *self)
         return start_again(self, ETEL_XY_SWITCHING_NUMERIC, numeric);
     }
     copy(self->parameters.theta, theta, PARAMETERS);
+    if (sum_of_lasting(self) != self->lasting.sum) {
+        restore_lasting(self);
+    }
     if (moves) {
         take_wander(self, take_colour(self), theta, variance);
     }
@@ -1198,8 +1231,9 @@ static int update(etel_xy_switching_t *self)
     status += self->interval.is_valid ? 0 : ETEL_XY_SWITCHING_MISSING;
     status += moves ? 0 : ETEL_XY_SWITCHING_HOLD;
     status += self->interval.too_fast ? ETEL_XY_SWITCHING_SPEED : 0;
-    status += self->interval.lost ? ETEL_XY_SWITCHING_OVERRUN : 0;
+    status += self->interval.lost || !is_counted ? ETEL_XY_SWITCHING_OVERRUN : 0;
     self->interval.lost = 0;
+    self->interval.started = UPDATED;
     next = shift_window(self, &status);
     self->estimate.status = status;
     end_writing(self);
@@ -1272,7 +1306,7 @@ static SGMS_INLINE int take_signals(
 static void start_series(etel_xy_switching_t *self, bool measured, sgms_real friction)
 {
     const int slot = newest_slot(self);
-    self->interval.started = 1;
+    self->interval.started = STARTED;
     self->window.weight[slot] = measured ? 1.0 / self->settings.measurement : 0.0;
     self->window.friction[slot] = measured ? friction - output_apart(self->input.signal) : 0.0;
     self->interval.is_valid = 0;
@@ -1468,7 +1502,7 @@ const char *etel_xy_switching_status_text(int status)
         return "no update for more than two intervals: the estimate is old";
     }
     if ((status & ETEL_XY_SWITCHING_OVERRUN) != 0) {
-        return "samples were lost: feedback came too late";
+        return "samples were lost: feedback came too late, or a count of them is damaged";
     }
     if ((status & ETEL_XY_SWITCHING_SPEED) != 0) {
         return "faster than max_velocity";
@@ -1583,7 +1617,7 @@ SGMS_COLD int etel_xy_switching_set_mass(etel_xy_switching_t *self, etel_xy_swit
 static SGMS_COLD void start_with(
     etel_xy_switching_t *self, int p, sgms_real theta, const sgms_real *square)
 {
-    const bool started = self->interval.started != 0;
+    const bool started = self->interval.started != UNSTARTED;
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real x[STATES];
     abort_call(self);
@@ -1606,7 +1640,7 @@ static SGMS_COLD void start_with(
     start_lasting(self);
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
-    self->interval.started = started;
+    self->interval.started = started ? STARTED : UNSTARTED;
 }
 
 static void exchange(sgms_real *a, sgms_real *b)

@@ -82,7 +82,7 @@ typedef struct {
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9b1c2898b39d" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0xa1c4647au
+#define ETEL_XY_SWITCHING_HEADER 0x6605018eu
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SWITCHING_SAVED_FORMAT 2u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9b1c2898u
@@ -101,7 +101,8 @@ enum {
     ETEL_XY_SWITCHING_HOLD = 4,     /* the axis hardly moved: parameters hold */
     ETEL_XY_SWITCHING_BOUND = 8,    /* a parameter is at its bound */
     ETEL_XY_SWITCHING_SPEED = 16,   /* faster than max_velocity, 1.0 m/s */
-    ETEL_XY_SWITCHING_OVERRUN = 32, /* samples were lost: feedback was not called in time */
+    /* samples were lost: feedback was not called in time, or a count of them is damaged */
+    ETEL_XY_SWITCHING_OVERRUN = 32,
     /* measurements contradict the model beyond their stated noise: they count less */
     ETEL_XY_SWITCHING_DOUBT = 64,
     ETEL_XY_SWITCHING_STALE = 128,  /* of estimate(): no update for more than two intervals */
@@ -269,6 +270,7 @@ typedef struct {
         etel_xy_switching_real moved[ETEL_XY_SWITCHING_PARAMETERS],
             taken[ETEL_XY_SWITCHING_PARAMETERS];
         int32_t intervals; /* in the block */
+        uint64_t sum; /* of the bits of all above from `squares` on, as it was left */
     } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */
         etel_xy_switching_real state[ETEL_XY_SWITCHING_STATES], theta[ETEL_XY_SWITCHING_PARAMETERS];

@@ -308,10 +308,10 @@ static void seal(etel_xy_switching_saved_t *saved)
 }
 
 /* Data of another format or machine, beyond the bounds or no numbers are refused with the right
- * checksum too. */
+ * checksum too; at a bound they are taken. */
 static int refuses_foreign(etel_xy_switching_t *axis, const etel_xy_switching_saved_t *good)
 {
-    int refused = 0, tried = 0;
+    int obeyed = 0, tried = 0;
     for (int which = 0; which < 6; which++) {
         etel_xy_switching_saved_t saved = *good;
         saved.format += which == 0 ? 1u : 0u;
@@ -321,17 +321,24 @@ static int refuses_foreign(etel_xy_switching_t *axis, const etel_xy_switching_sa
         saved.root[0] = which == 4 ? not_a_number() : saved.root[0];
         saved.ratio = which == 5 ? -1.0 : saved.ratio;
         seal(&saved);
-        refused += etel_xy_switching_load(axis, &saved) == ETEL_XY_SWITCHING_REFUSED;
+        obeyed += etel_xy_switching_load(axis, &saved) == ETEL_XY_SWITCHING_REFUSED;
         tried++;
     }
     if (axis->settings.upper[0] < 1e6) {
         etel_xy_switching_saved_t saved = *good;
         saved.theta[0] = 2.0 * axis->settings.upper[0];
         seal(&saved);
-        refused += etel_xy_switching_load(axis, &saved) == ETEL_XY_SWITCHING_REFUSED;
+        obeyed += etel_xy_switching_load(axis, &saved) == ETEL_XY_SWITCHING_REFUSED;
         tried++;
+        saved.theta[0] = axis->settings.upper[0]; /* at a bound is within */
+        seal(&saved);
+        obeyed += etel_xy_switching_load(axis, &saved) == ETEL_XY_SWITCHING_OK;
+        saved.theta[0] = axis->settings.lower[0];
+        seal(&saved);
+        obeyed += etel_xy_switching_load(axis, &saved) == ETEL_XY_SWITCHING_OK;
+        tried += 2;
     }
-    return refused == tried;
+    return obeyed == tried;
 }
 
 /* load() brings back what save() wrote, less certain by the pause, and refuses it with a bit of any
@@ -381,7 +388,7 @@ static int obeys_settings(etel_xy_switching_t *axis, const etel_xy_switching_est
     const sgms_real unit = nominal->deviation[p] / prior_sd[p];
     const sgms_real from = nominal->parameter[p];
     const sgms_real to = from + sgms_fmin(0.01, axis->settings.upper[p] - 1.0) * unit;
-    etel_xy_switching_estimate_t e;
+    etel_xy_switching_estimate_t e, before;
     motion m;
     int good = etel_xy_switching_hold(axis, p, 1) == ETEL_XY_SWITCHING_OK &&
         etel_xy_switching_hold(axis, -1, 1) == ETEL_XY_SWITCHING_REFUSED;
@@ -403,10 +410,16 @@ static int obeys_settings(etel_xy_switching_t *axis, const etel_xy_switching_est
             from + (axis->settings.upper[p] - 1.0) * unit, 0.1 * unit) == ETEL_XY_SWITCHING_OK &&
             good;
     }
+    etel_xy_switching_estimate(axis, &before);
     good = etel_xy_switching_set_parameter(axis, p, to, 0.1 * unit) == ETEL_XY_SWITCHING_OK && good;
     etel_xy_switching_estimate(axis, &e);
     good = good && is_near(e.parameter[p], to, SELFTEST_COARSE * unit);
     good = good && is_near(e.deviation[p], 0.1 * unit, SELFTEST_COARSE * unit);
+    for (int other = 0; other < p; other++) {
+        good = good && is_near(e.parameter[other], before.parameter[other], 0.0);
+        good = good && is_near(e.deviation[other], before.deviation[other],
+            SELFTEST_COARSE * before.deviation[other]);
+    }
     good = good && etel_xy_switching_set_parameter(axis, p, from, -0.1 * unit) ==
         ETEL_XY_SWITCHING_REFUSED;
     good = good && etel_xy_switching_set_parameter(axis, p, not_a_number(), 0.1 * unit) ==
@@ -431,7 +444,8 @@ static int keeps_over_reset(etel_xy_switching_t *axis)
     etel_xy_switching_estimate(axis, &before);
     etel_xy_switching_reset(axis);
     etel_xy_switching_estimate(axis, &after);
-    int good = after.status == ETEL_XY_SWITCHING_FILLING && !etel_xy_switching_due(axis);
+    int good = after.status == ETEL_XY_SWITCHING_FILLING && !etel_xy_switching_due(axis) &&
+        axis->compensation.ahead_given == 0;
     for (int p = 0; p < PARAMETERS; p++) {
         good = good && is_near(after.parameter[p], before.parameter[p], 0.0);
         good = good && is_near(after.deviation[p], before.deviation[p], 0.0);
@@ -564,6 +578,28 @@ static int insert_interval(
     return etel_xy_switching_feedback(axis);
 }
 
+/* Each status has a text of its own. */
+static int has_texts(void)
+{
+    static const int32_t status[] = { ETEL_XY_SWITCHING_OK, ETEL_XY_SWITCHING_FILLING,
+        ETEL_XY_SWITCHING_MISSING, ETEL_XY_SWITCHING_HOLD, ETEL_XY_SWITCHING_BOUND,
+        ETEL_XY_SWITCHING_SPEED,
+                                      ETEL_XY_SWITCHING_OVERRUN, ETEL_XY_SWITCHING_DOUBT,
+                                      ETEL_XY_SWITCHING_STALE, ETEL_XY_SWITCHING_EARLY,
+                                      ETEL_XY_SWITCHING_NUMERIC, ETEL_XY_SWITCHING_OVERLAP,
+                                      ETEL_XY_SWITCHING_MISMATCH, ETEL_XY_SWITCHING_REFUSED,
+                                      ETEL_XY_SWITCHING_ARITHMETIC };
+    const int count = (int)(sizeof status / sizeof *status);
+    int good = 1;
+    for (int i = 0; i < count; i++) {
+        for (int j = 0; j < i; j++) {
+            good = good && etel_xy_switching_status_text((int)status[i]) !=
+                etel_xy_switching_status_text((int)status[j]);
+        }
+    }
+    return good;
+}
+
 /* Each status is said where its reason is there, and not before. */
 static int says_status(etel_xy_switching_t *axis)
 {
@@ -677,8 +713,12 @@ static int notices_lost_interval(etel_xy_switching_t *axis)
     good = good && status >= 0 && (status & ETEL_XY_SWITCHING_OVERRUN) == 0;
     share = etel_xy_switching_share(axis);
     good = sample_along(axis, &m, 1, &force) && good;
-    return good && (etel_xy_switching_share(axis) > share ||
+    good = good && (etel_xy_switching_share(axis) > share ||
         is_near(etel_xy_switching_share(axis), 1.0, 0.0));
+    etel_xy_switching_init(axis); /* the first interval says so too */
+    good = sample_along(axis, &m, SAMPLES + 2, &force) && good;
+    status = etel_xy_switching_feedback(axis);
+    return good && status >= 0 && (status & ETEL_XY_SWITCHING_OVERRUN) != 0;
 }
 
 /* A call inside of another one, here as its marks have it, is refused and changes nothing. */
@@ -752,6 +792,66 @@ static int survives_damage(etel_xy_switching_t *axis)
     return good && etel_xy_switching_feedback(axis) >= 0 && status_of(axis) >= 0;
 }
 
+/* A count of the interval's samples that is another one is told by the next update, and by it
+ * alone. */
+static int tells_miscounting(etel_xy_switching_t *axis)
+{
+    motion m;
+    sgms_real force = 0.0;
+    int status, good = start_moving(axis, &m);
+    axis->interval.step += 1;
+    for (int k = 0; k < SAMPLES && !etel_xy_switching_due(axis); k++) {
+        good = sample_along(axis, &m, 1, &force) && good;
+    }
+    status = etel_xy_switching_feedback(axis);
+    good = good && status >= 0 && (status & ETEL_XY_SWITCHING_OVERRUN) != 0;
+    good = sample_along(axis, &m, SAMPLES, &force) && good;
+    status = etel_xy_switching_feedback(axis);
+    return good && status >= 0 && (status & ETEL_XY_SWITCHING_OVERRUN) == 0;
+}
+
+/* An interval counts as motion from HOLD_PATH on, travelled or away from where one last did. */
+static int counts_motion(etel_xy_switching_t *axis)
+{
+    motion m;
+    sgms_real force = 0.0;
+    int good = start_moving(axis, &m);
+    for (int k = 0; k < 4; k++) {
+        const sgms_real part = k % 2 == 0 ? 1.0 : 0.5;
+        good = sample_along(axis, &m, SAMPLES, &force) && good;
+        axis->interval.path = k < 2 ? part * HOLD_PATH : 0.0;
+        axis->interval.net = k < 2 ? 0.0 : -part * HOLD_PATH;
+        good = good && (etel_xy_switching_feedback(axis) & ETEL_XY_SWITCHING_HOLD) ==
+            (k % 2 == 0 ? 0 : ETEL_XY_SWITCHING_HOLD);
+    }
+    return good;
+}
+
+/* With any of the means another one that tell of errors of the model that stay, the factors on
+ * variances are those last stated. */
+static int keeps_spread(etel_xy_switching_t *axis)
+{
+    motion m;
+    sgms_real force = 0.0;
+    int good = start_moving(axis, &m);
+    sgms_real *const mean[
+        6] = { &axis->lasting.squares,  &axis->lasting.information, axis->lasting.theta,
+                                 axis->lasting.variance, axis->lasting.moved,
+                                 axis->lasting.taken };
+    for (int k = 0; k < 6; k++) {
+        for (int p = 0; p < PARAMETERS; p++) {
+            axis->estimate.spread[p] = 3.0 + (sgms_real)(k + p);
+        }
+        *mean[k] = *mean[k] * 16.0 + 1.0;
+        good = sample_along(axis, &m, SAMPLES, &force) && etel_xy_switching_feedback(axis) >= 0 &&
+            good;
+        for (int p = 0; p < PARAMETERS; p++) {
+            good = good && is_near(axis->estimate.spread[p], 3.0 + (sgms_real)(k + p), 0.0);
+        }
+    }
+    return good;
+}
+
 /* An axis that may not compute, here as its mark has it, takes nothing in, feeds nothing forward
  * and says so to the end. */
 static int refuses_arithmetic(etel_xy_switching_t *axis)
@@ -802,7 +902,7 @@ static int failed_check(etel_xy_switching_t *axis, const etel_xy_switching_estim
     if (!measures_friction(axis)) {
         return 4;
     }
-    if (!says_status(axis)) {
+    if (!says_status(axis) || !has_texts()) {
         return 5;
     }
     if (!limits_force(axis)) {
@@ -811,7 +911,8 @@ static int failed_check(etel_xy_switching_t *axis, const etel_xy_switching_estim
     if (!notices_lost_interval(axis) || !refuses_overlap(axis)) {
         return 7;
     }
-    if (!survives_damage(axis)) {
+    if (!survives_damage(axis) || !tells_miscounting(axis) || !counts_motion(axis) ||
+        !keeps_spread(axis)) {
         return 8;
     }
     if (!checks_header()) {

@@ -126,7 +126,7 @@ FAULTS: Final = (
     Fault(
         "status of a bound left out", C, "solve_theta(self, theta) > 0 ? NAME_BOUND : 0", "solve_theta(self, theta) * 0"
     ),
-    Fault("status of lost samples left out", C, "status += self->interval.lost ? NAME_OVERRUN : 0;", ";"),
+    Fault("status of lost samples left out", C, "self->interval.lost || !is_counted ?", "!is_counted ?"),
     Fault("status of speed left out", C, "status += self->interval.too_fast ? NAME_SPEED : 0;", ";"),
     Fault("status of standstill left out", C, "status += moves ? 0 : NAME_HOLD;", ";"),
     Fault(
@@ -185,6 +185,8 @@ FAULTS: Final = (
         "    start_signals(self);\n    fill(self->parameters.theta, 1.0, PARAMETERS);\n",
     ),
     Fault("damaged settings used", C, "if (sum_of(&self->settings) != self->settings_sum) {", "if (0) {"),
+    Fault("damaged means of lasting errors kept", C, "if (sum_of_lasting(self) != self->lasting.sum) {", "if (0) {"),
+    Fault("interval of too few samples not told", C, "self->interval.lost || !is_counted ?", "self->interval.lost ?"),
     Fault("delay of signals not checked", C, "const bool good = is_timely && sgms", "const bool good = sgms"),
     Fault("invalid friction taken", C, "good && signals->valid && sgms_is_reading", "good && sgms_is_reading"),
     Fault("another header accepted", C, " || header != NAME_HEADER) {", ") {"),

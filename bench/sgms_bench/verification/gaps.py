@@ -36,7 +36,6 @@ NO_MODEL: Final = "a level of zero where it has no bounds; tests/test_life.py se
 
 GAPS: Final[tuple[Gap, ...]] = (
     Gap("sgms_has_ieee_numbers", r"none|least|unit|rounds|whole", NUMBERS),
-    Gap("NAME_status_text", r"NAME_ARITHMETIC|does not compute", NUMBERS),
     Gap("NAME_set_parameter", r"!is_model\(whole\)|return NAME_REFUSED", NO_MODEL),
     Gap("NAME_prepare", r"self->calls\.phase (?:!= IDLE|== PREPARING)", OVERLAPS),
     Gap("NAME_estimate", r"attempt < 3|version % 2u == 0u|NAME_OVERLAP", OVERLAPS),

@@ -118,7 +118,7 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
             "Do not learn from it. Where the axis may be so fast, raise `max_velocity` and generate again.",
         ),
         "overrun": (
-            "samples were lost: feedback was not called in time",
+            "samples were lost: feedback was not called in time, or a count of them is damaged",
             "Give the slow task more time: it has to be done once in an interval. The force ramps to zero meanwhile.",
         ),
         "doubt": (

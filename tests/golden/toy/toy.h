@@ -78,7 +78,7 @@ typedef struct {
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "7f611f0cc49d" /* digest of the machine file */
-#define TOY_HEADER 0x5c408ccau /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0x0a560988u /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0x7f611f0cu
 #define TOY_SAVED_MACHINE_1 0xc49du
@@ -96,7 +96,8 @@ enum {
     TOY_HOLD = 4,     /* the axis hardly moved: parameters hold */
     TOY_BOUND = 8,    /* a parameter is at its bound */
     TOY_SPEED = 16,   /* faster than max_velocity, 0.5 m/s */
-    TOY_OVERRUN = 32, /* samples were lost: feedback was not called in time */
+    /* samples were lost: feedback was not called in time, or a count of them is damaged */
+    TOY_OVERRUN = 32,
     /* measurements contradict the model beyond their stated noise: they count less */
     TOY_DOUBT = 64,
     TOY_STALE = 128,  /* of estimate(): no update for more than two intervals */
@@ -248,6 +249,7 @@ typedef struct {
         /* over blocks: squared moves, variance taken, over that before */
         toy_real moved[TOY_PARAMETERS], taken[TOY_PARAMETERS];
         int32_t intervals; /* in the block */
+        uint64_t sum; /* of the bits of all above from `squares` on, as it was left */
     } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */
         toy_real state[TOY_STATES], theta[TOY_PARAMETERS];

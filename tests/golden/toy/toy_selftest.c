@@ -304,10 +304,10 @@ static void seal(toy_saved_t *saved)
 }
 
 /* Data of another format or machine, beyond the bounds or no numbers are refused with the right
- * checksum too. */
+ * checksum too; at a bound they are taken. */
 static int refuses_foreign(toy_t *axis, const toy_saved_t *good)
 {
-    int refused = 0, tried = 0;
+    int obeyed = 0, tried = 0;
     for (int which = 0; which < 6; which++) {
         toy_saved_t saved = *good;
         saved.format += which == 0 ? 1u : 0u;
@@ -317,17 +317,24 @@ static int refuses_foreign(toy_t *axis, const toy_saved_t *good)
         saved.root[0] = which == 4 ? not_a_number() : saved.root[0];
         saved.ratio = which == 5 ? -1.0 : saved.ratio;
         seal(&saved);
-        refused += toy_load(axis, &saved) == TOY_REFUSED;
+        obeyed += toy_load(axis, &saved) == TOY_REFUSED;
         tried++;
     }
     if (axis->settings.upper[0] < 1e6) {
         toy_saved_t saved = *good;
         saved.theta[0] = 2.0 * axis->settings.upper[0];
         seal(&saved);
-        refused += toy_load(axis, &saved) == TOY_REFUSED;
+        obeyed += toy_load(axis, &saved) == TOY_REFUSED;
         tried++;
+        saved.theta[0] = axis->settings.upper[0]; /* at a bound is within */
+        seal(&saved);
+        obeyed += toy_load(axis, &saved) == TOY_OK;
+        saved.theta[0] = axis->settings.lower[0];
+        seal(&saved);
+        obeyed += toy_load(axis, &saved) == TOY_OK;
+        tried += 2;
     }
-    return refused == tried;
+    return obeyed == tried;
 }
 
 /* load() brings back what save() wrote, less certain by the pause, and refuses it with a bit of any
@@ -374,7 +381,7 @@ static int obeys_settings(toy_t *axis, const toy_estimate_t *nominal)
     const sgms_real unit = nominal->deviation[p] / prior_sd[p];
     const sgms_real from = nominal->parameter[p];
     const sgms_real to = from + sgms_fmin(0.01, axis->settings.upper[p] - 1.0) * unit;
-    toy_estimate_t e;
+    toy_estimate_t e, before;
     motion m;
     int good = toy_hold(axis, p, 1) == TOY_OK && toy_hold(axis, -1, 1) == TOY_REFUSED;
     good = good && toy_hold(axis, PARAMETERS, 1) == TOY_REFUSED;
@@ -394,10 +401,16 @@ static int obeys_settings(toy_t *axis, const toy_estimate_t *nominal)
         good = toy_set_parameter(
             axis, p, from + (axis->settings.upper[p] - 1.0) * unit, 0.1 * unit) == TOY_OK && good;
     }
+    toy_estimate(axis, &before);
     good = toy_set_parameter(axis, p, to, 0.1 * unit) == TOY_OK && good;
     toy_estimate(axis, &e);
     good = good && is_near(e.parameter[p], to, SELFTEST_COARSE * unit);
     good = good && is_near(e.deviation[p], 0.1 * unit, SELFTEST_COARSE * unit);
+    for (int other = 0; other < p; other++) {
+        good = good && is_near(e.parameter[other], before.parameter[other], 0.0);
+        good = good && is_near(e.deviation[other], before.deviation[other],
+            SELFTEST_COARSE * before.deviation[other]);
+    }
     good = good && toy_set_parameter(axis, p, from, -0.1 * unit) == TOY_REFUSED;
     good = good && toy_set_parameter(axis, p, not_a_number(), 0.1 * unit) == TOY_REFUSED;
     good = good && toy_set_parameter(axis, PARAMETERS, from, 0.1 * unit) == TOY_REFUSED;
@@ -418,7 +431,7 @@ static int keeps_over_reset(toy_t *axis)
     toy_estimate(axis, &before);
     toy_reset(axis);
     toy_estimate(axis, &after);
-    int good = after.status == TOY_FILLING && !toy_due(axis);
+    int good = after.status == TOY_FILLING && !toy_due(axis) && axis->compensation.ahead_given == 0;
     for (int p = 0; p < PARAMETERS; p++) {
         good = good && is_near(after.parameter[p], before.parameter[p], 0.0);
         good = good && is_near(after.deviation[p], before.deviation[p], 0.0);
@@ -545,6 +558,24 @@ static int insert_interval(toy_t *axis, const toy_signals *signals, sgms_real *f
     return toy_feedback(axis);
 }
 
+/* Each status has a text of its own. */
+static int has_texts(void)
+{
+    static const int32_t status[
+        ] = { TOY_OK, TOY_FILLING, TOY_MISSING, TOY_HOLD, TOY_BOUND, TOY_SPEED,
+                                      TOY_OVERRUN, TOY_DOUBT, TOY_STALE, TOY_EARLY, TOY_NUMERIC,
+                                      TOY_OVERLAP,
+                                      TOY_MISMATCH, TOY_REFUSED, TOY_ARITHMETIC };
+    const int count = (int)(sizeof status / sizeof *status);
+    int good = 1;
+    for (int i = 0; i < count; i++) {
+        for (int j = 0; j < i; j++) {
+            good = good && toy_status_text((int)status[i]) != toy_status_text((int)status[j]);
+        }
+    }
+    return good;
+}
+
 /* Each status is said where its reason is there, and not before. */
 static int says_status(toy_t *axis)
 {
@@ -645,7 +676,11 @@ static int notices_lost_interval(toy_t *axis)
     good = good && status >= 0 && (status & TOY_OVERRUN) == 0;
     share = toy_share(axis);
     good = sample_along(axis, &m, 1, &force) && good;
-    return good && (toy_share(axis) > share || is_near(toy_share(axis), 1.0, 0.0));
+    good = good && (toy_share(axis) > share || is_near(toy_share(axis), 1.0, 0.0));
+    toy_init(axis); /* the first interval says so too */
+    good = sample_along(axis, &m, SAMPLES + 2, &force) && good;
+    status = toy_feedback(axis);
+    return good && status >= 0 && (status & TOY_OVERRUN) != 0;
 }
 
 /* A call inside of another one, here as its marks have it, is refused and changes nothing. */
@@ -713,6 +748,64 @@ static int survives_damage(toy_t *axis)
     return good && toy_feedback(axis) >= 0 && status_of(axis) >= 0;
 }
 
+/* A count of the interval's samples that is another one is told by the next update, and by it
+ * alone. */
+static int tells_miscounting(toy_t *axis)
+{
+    motion m;
+    sgms_real force = 0.0;
+    int status, good = start_moving(axis, &m);
+    axis->interval.step += 1;
+    for (int k = 0; k < SAMPLES && !toy_due(axis); k++) {
+        good = sample_along(axis, &m, 1, &force) && good;
+    }
+    status = toy_feedback(axis);
+    good = good && status >= 0 && (status & TOY_OVERRUN) != 0;
+    good = sample_along(axis, &m, SAMPLES, &force) && good;
+    status = toy_feedback(axis);
+    return good && status >= 0 && (status & TOY_OVERRUN) == 0;
+}
+
+/* An interval counts as motion from HOLD_PATH on, travelled or away from where one last did. */
+static int counts_motion(toy_t *axis)
+{
+    motion m;
+    sgms_real force = 0.0;
+    int good = start_moving(axis, &m);
+    for (int k = 0; k < 4; k++) {
+        const sgms_real part = k % 2 == 0 ? 1.0 : 0.5;
+        good = sample_along(axis, &m, SAMPLES, &force) && good;
+        axis->interval.path = k < 2 ? part * HOLD_PATH : 0.0;
+        axis->interval.net = k < 2 ? 0.0 : -part * HOLD_PATH;
+        good = good && (toy_feedback(axis) & TOY_HOLD) == (k % 2 == 0 ? 0 : TOY_HOLD);
+    }
+    return good;
+}
+
+/* With any of the means another one that tell of errors of the model that stay, the factors on
+ * variances are those last stated. */
+static int keeps_spread(toy_t *axis)
+{
+    motion m;
+    sgms_real force = 0.0;
+    int good = start_moving(axis, &m);
+    sgms_real *const mean[
+        6] = { &axis->lasting.squares,  &axis->lasting.information, axis->lasting.theta,
+                                 axis->lasting.variance, axis->lasting.moved,
+                                 axis->lasting.taken };
+    for (int k = 0; k < 6; k++) {
+        for (int p = 0; p < PARAMETERS; p++) {
+            axis->estimate.spread[p] = 3.0 + (sgms_real)(k + p);
+        }
+        *mean[k] = *mean[k] * 16.0 + 1.0;
+        good = sample_along(axis, &m, SAMPLES, &force) && toy_feedback(axis) >= 0 && good;
+        for (int p = 0; p < PARAMETERS; p++) {
+            good = good && is_near(axis->estimate.spread[p], 3.0 + (sgms_real)(k + p), 0.0);
+        }
+    }
+    return good;
+}
+
 /* An axis that may not compute, here as its mark has it, takes nothing in, feeds nothing forward
  * and says so to the end. */
 static int refuses_arithmetic(toy_t *axis)
@@ -759,7 +852,7 @@ static int failed_check(toy_t *axis, const toy_estimate_t *nominal)
     if (!measures_friction(axis)) {
         return 4;
     }
-    if (!says_status(axis)) {
+    if (!says_status(axis) || !has_texts()) {
         return 5;
     }
     if (!limits_force(axis)) {
@@ -768,7 +861,8 @@ static int failed_check(toy_t *axis, const toy_estimate_t *nominal)
     if (!notices_lost_interval(axis) || !refuses_overlap(axis)) {
         return 7;
     }
-    if (!survives_damage(axis)) {
+    if (!survives_damage(axis) || !tells_miscounting(axis) || !counts_motion(axis) ||
+        !keeps_spread(axis)) {
         return 8;
     }
     if (!checks_header()) {
