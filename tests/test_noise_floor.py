@@ -83,6 +83,19 @@ def test_noise_that_the_chain_has_coloured_is_not_taken_for_less(sampling: tuple
     assert noise_floor(recording, noisy) == pytest.approx(rms(recording, noisy), rel=0.04)
 
 
+def test_noise_of_friction_that_passes_no_filter_is_not_taken_for_more() -> None:
+    """Of a log that brings friction and velocity a low cutoff says nothing: the floor was 1.8 times the noise."""
+    machine = axis(1000.0, 10.0)
+    motion = draw_motion("dies", machine, 8.0, np.random.default_rng(3))
+    run = simulate_axis(machine, motion, AxisConfig(law="maxwell_slip", seed=1))
+    velocity, noise = np.gradient(run.truth.position_m) * machine.sampling.rate, 0.3
+    friction = run.truth.friction_N + noise * np.random.default_rng(5).standard_normal(len(run.log))
+    log = replace(run.log, velocity_m_s=velocity, friction_N=friction, force_N=friction)
+    recording = prepare(machine, log)
+    residual = fit_model(Subject.of(machine, recording), (), refitted=()).residual
+    assert noise_floor(recording, residual) == pytest.approx(noise / np.sqrt(recording.factor), rel=0.1)
+
+
 def test_noise_of_an_encoder_counts_as_it_is() -> None:
     """Twice differentiated it is fast: a parabola leaves nearly all of it."""
     machine = axis(*FAST)

@@ -25,7 +25,8 @@ SINGULAR: Final = 1e14  # condition of the scores' covariance that no test rests
 PIECES: Final = 4  # that a noise floor needs
 AT_REST: Final = 1e-3  # RMS speed of a piece over that of all
 MOVING: Final = 0.1  # of the pieces: fewer are no sample of the noise
-INTERVAL: Final = (0.025, 0.975)  # quantiles of the 95 % interval
+CONFIDENCE: Final = 0.95
+"""Probability of the intervals that decide."""
 FAST_PARTS: Final = 20  # of a record: what is slower than one of them may be a force that wanders
 FAST_LEAST: Final = 1e-3  # of a contribution's power: of one with less, an offset say, no change is fast
 DRAWS: Final = 1000  # of blocks; the interval's ends are then sure to a few percent of its width
@@ -153,7 +154,11 @@ def _quiet_power(recording: Recording, residual: Array) -> tuple[float, float]:
     if moves.sum() < max(PIECES, MOVING * len(speed)):
         moves = np.ones_like(moves)
     rest, time, position = (pieces(series)[moves] for series in (residual, recording.time, recording.position))
-    return quiet_variance(rest, find_colour(recording.machine, recording.factor, width), (time, position))
+    return quiet_variance(
+        rest,
+        find_colour(recording.machine, recording.factor, width, is_filtered=recording.is_filtered),
+        (time, position),
+    )
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
@@ -205,7 +210,7 @@ def gain_interval(before: Array, after: Array, rows: Array) -> tuple[float, floa
         return math.nan, math.nan
     pick = random.integers(count, size=(DRAWS, count))
     difference = (before - after)[pick].sum(axis=1) / np.maximum(1.0, rows[pick].sum(axis=1))
-    low, high = np.quantile(difference, INTERVAL)
+    low, high = np.quantile(difference, (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)))
     return math.copysign(math.sqrt(abs(low)), low), math.copysign(math.sqrt(abs(high)), high)
 
 

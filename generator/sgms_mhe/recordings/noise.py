@@ -46,11 +46,13 @@ class Colour:
     freedom: float
 
 
-def find_colour(machine: Machine, factor: int, width: int) -> Colour:
-    """Return the colour of rows that are means over `factor` samples, in segments of `width` rows."""
-    return _colour(
-        lowpass_coefficients(machine), machine.sampling.velocity_cutoff / machine.sampling.rate, factor, width
-    )
+def find_colour(machine: Machine, factor: int, width: int, *, is_filtered: bool) -> Colour:
+    """Return the colour of rows that are means over `factor` samples, in segments of `width` rows.
+
+    `is_filtered`: whether they have passed the chain's low-passes.
+    """
+    coefficients = lowpass_coefficients(machine) if is_filtered else (1.0, 0.0, 0.0, 0.0, 0.0)
+    return _colour(coefficients, machine.sampling.velocity_cutoff / machine.sampling.rate, factor, width)
 
 
 @lru_cache(maxsize=32)

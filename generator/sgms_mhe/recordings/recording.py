@@ -116,6 +116,7 @@ class Recording:
         misread: the same where an encoder of these steps, its lines elsewhere, reads that motion; None as `noise`.
         acceleration_noise: variance of what the encoder adds to an acceleration [m^2/s^4]; 0 where nobody asked.
         has_own_speeds: whether its log brings a velocity or an acceleration, which then do not come from its position.
+        is_filtered: whether friction has passed the chain's low-passes; not that of a log that brings velocity as well.
         is_smeared: whether the chain's low-passes change friction more than the noise hides: its force then passes
             them, not its motion.
         of_log: which of several logs, one behind the other, each row is of (m); None: there is one.
@@ -142,6 +143,7 @@ class Recording:
     misread: Array | None = None
     acceleration_noise: float = 0.0
     has_own_speeds: bool = False
+    is_filtered: bool = True
     is_smeared: bool = True
     of_log: Index | None = None
     runs: Runs = field(default_factory=Runs, repr=False)
@@ -262,7 +264,11 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     fold, held_out = split_blocks(count, machine)
     clock = np.arange(n) / rate - signals.delay
     recording = reduce_signals(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)
-    recording = replace(recording, has_own_speeds=log.velocity_m_s is not None or log.acceleration_m_s2 is not None)
+    recording = replace(
+        recording,
+        has_own_speeds=log.velocity_m_s is not None or log.acceleration_m_s2 is not None,
+        is_filtered=log.velocity_m_s is None or log.friction_N is None,
+    )
     return recording if held_out_s is None else _hold_out(recording, held_out_s)
 
 
