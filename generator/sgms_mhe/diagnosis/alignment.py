@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis.fits import Fit, Subject
+from sgms_mhe.diagnosis.fits import ALIKE, Fit, Subject
 from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST, drop_bounds
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.machine import Machine
@@ -30,9 +30,6 @@ HOLD_SNAP: Final = 1.5
 SEARCH_RATE: Final = 1000.0
 """Steps of a search per second, at least, as many samples sharing one as that allows [Hz]: the rate of the rows;
 alignment takes out what a longer step changes."""
-ALIGNABLE: Final = 0.1
-"""Change of friction by a longer step that alignment takes out, standard deviations [friction]: a model that it changes
-more is fitted at the full rate."""
 CUTOFF: Final = 0.4  # of the rate: a low-pass that a machine file may have at it; the signals passed theirs already
 LOWEST: Final = 1e-3  # of the rate: the same for the lowest one
 FASTEST: Final = 1e6  # Hz, as often as a machine file may ask for updates; what such a step does shows nowhere
@@ -125,7 +122,7 @@ def align(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
         return whole
     recording, change = subject.recording, exact - own[0]
     # What is no small difference is a model that the longer steps do not suit: it is fitted at the full rate.
-    if float(np.std(change[used])) < ALIGNABLE * float(np.std(exact[used])):
+    if float(np.std(change[used])) < ALIKE * float(np.std(exact[used])):
         recording = replace(recording, friction=measured - change)
     alignment = replace(subject.alignment, sampled=sampled)
     return replace(subject, recording=recording, alignment=alignment, fine=whole, known={})

@@ -37,10 +37,6 @@ from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 
-START_SIGNIFICANCE: Final = 1e-3
-"""P value of a rise of friction towards low speed that fits start from [1]: where the machine file knows of none."""
-EDGE_ROWS: Final = 20
-"""Rows between a step in time and an end of the record, at least [rows]: a few rows at an end are no step."""
 EDGE_SHARE: Final = 0.05
 """Rows between a step in time and an end of the record, at least [rows that count]: what is only there at an end is a
 drift as well."""
@@ -159,7 +155,7 @@ def _search_step(definition: EffectDefinition, kind: Step, seen: Residual) -> Pr
 
 def edge_rows(rows: int) -> int:
     """Rows next to the beginning, and to the end, of so many that no step is looked for in."""
-    return max(EDGE_ROWS, int(EDGE_SHARE * rows))
+    return int(EDGE_SHARE * rows)
 
 
 # --- effects whose force only their own equations give ----------------------------------------------------------
@@ -321,7 +317,7 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> dict[str, 
             Z = free.project(kind.columns(motion, given)[recording.used])
             p, size = score_test(recording, Z, e)
             found = energy(Z, e)
-            if p * kind.tests < START_SIGNIFICANCE and size[0] > 0.0 and found > best[0]:
+            if p * kind.tests < recording.machine.diagnosis.significance and size[0] > 0.0 and found > best[0]:
                 best = found, dict(kind.parameters(given, size))
     return best[1]
 

@@ -41,9 +41,6 @@ deviations]: what acts in a few blocks alone may be in none of those that the in
 VAGUE: Final = 0.5
 """Interval from which a number of the machine that does not differ from the file is not determined [value]: half of it
 may be chance: the file's stays."""
-CERTAIN_P: Final = 1e-4
-"""P value from which a cause that is the same all over the record is certain, whatever its gain's interval [1]: a short
-record has few blocks to draw the interval from."""
 PATIENT_ITERATIONS: Final = 40
 """Steps of a fit, at most, where all of the machine's numbers may have far to go [1]: what is left then moves all of
 them."""
@@ -111,17 +108,17 @@ def find_vague(cause: Cause) -> tuple[str, ...]:
     return tuple(found)
 
 
-def is_confirmed(cause: Cause, *, constant: bool = False, complete: bool = False) -> bool:
+def is_confirmed(cause: Cause, *, complete: bool = False, certain_p: float = 0.0) -> bool:
     """Return True if a cause has a size, and a gain on data that its fit has not seen.
 
     The gain may be uncertain where it is certain that the cause is there: few blocks of a short record, not all of
-    which it acts in. It is of a cause that is the same all over the record (`constant`), by its test; and where the fit
+    which it acts in. It is where its test gives less than `certain_p`; and where the fit
     leaves nothing that matters (`complete`), by its sizes.
     """
     sizes = _sizes(cause)
     apart = [abs(cause.parameters[key] - none) / cause.std[key] for key, none in sizes.items() if cause.std[key] > 0.0]
     known = complete and bool(apart) and min(apart) > CERTAIN_SIGMAS
-    certain = cause.gain_N > 0.0 and (known or (constant and cause.p_value < CERTAIN_P))
+    certain = cause.gain_N > 0.0 and (known or cause.p_value < certain_p)
     return (cause.gain_interval_N[0] > 0.0 or certain) and has_size(cause)
 
 
@@ -223,7 +220,9 @@ def _doubt(
 ) -> str | None:
     """Return the rule by which a cause does not hold, None if it does; `complete`: its fit leaves next to nothing."""
     cause, small = causes[group], small_force(final.subject.machine)
-    if not is_confirmed(cause, constant=constant, complete=complete):
+    # Of one that is the same all over the record: a short one has few blocks to draw the interval from.
+    certain_p = final.subject.machine.diagnosis.significance if constant else 0.0
+    if not is_confirmed(cause, complete=complete, certain_p=certain_p):
         return "its size, or its gain on held-out data, may be zero"
     if not is_possible(cause, final):
         return "a number that is physically impossible"

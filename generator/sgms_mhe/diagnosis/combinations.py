@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,10 @@ from sgms_mhe.diagnosis.fits import Fit, Subject, report_name
 from sgms_mhe.diagnosis.parametrisation import ParameterGroup
 from sgms_mhe.diagnosis.uncertainty import correlate, covariance, standard_deviations
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.recordings.evidence import CONFIDENCE
 from sgms_mhe.support.decisions import log_decision
 
 Array = NDArray[np.float64]
-
-SURE: Final = 0.95
-"""Probability of the intervals that decide, as that of a cause's gain."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ def _is_significant(fit: Fit, joint: Array, places: Sequence[int]) -> bool:
         return False
     change = _change(fit, places)
     inverse = np.linalg.pinv(joint[np.ix_(places, places)], hermitian=True)
-    return bool(change @ inverse @ change > chi2.ppf(SURE, len(places)))
+    return bool(change @ inverse @ change > chi2.ppf(CONFIDENCE, len(places)))
 
 
 def _combine(fit: Fit, slope: float, std: float, places: tuple[int, int], labels: tuple[str, str]) -> KnownCombination:

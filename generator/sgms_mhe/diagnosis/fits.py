@@ -30,7 +30,7 @@ Mask = NDArray[np.bool_]
 FitKey = tuple[object, ...]
 AT_BOUND: Final = 1e-9
 ALIKE: Final = 0.1
-"""Standard deviation of a change of friction, over its own."""
+"""Standard deviation of a change of friction, over its own, up to which alignment takes it out, or lets it be."""
 SEARCH_STEP: Final = 10.0
 """What a step of a search must promise [rows' worth of noise]: less decides nothing."""
 FINAL_STEP: Final = 0.01

@@ -14,12 +14,13 @@ from sgms_mhe.diagnosis.causes import (
     refit_numbers,
     restore_undetermined,
 )
-from sgms_mhe.diagnosis.criteria import material_force, small_force
+from sgms_mhe.diagnosis.criteria import GAIN_SHARE, material_force, small_force
 from sgms_mhe.diagnosis.final_fit import FinalFit
 from sgms_mhe.diagnosis.fits import Fit, fit_model
 from sgms_mhe.diagnosis.parametrisation import ParameterGroup, machine_groups
 from sgms_mhe.diagnosis.result import Verdict
 from sgms_mhe.diagnosis.structure import leaves_curve
+from sgms_mhe.diagnosis.uncertainty import MOSTLY
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.model.effects import cause as cause_definition
@@ -32,8 +33,6 @@ itself is an estimate."""
 ALLOWED_ENCODER: Final = 1.0
 """The same where the encoder's steps make most of the floor: where its lines are, and so how much of their noise passes
 the low-passes, is known to a factor of 1.4."""
-MOSTLY: Final = 0.5
-"""Share of the power of a residual, or a floor, from which on it is said to be the encoder's noise."""
 ALLOWED_SHARE: Final = 0.15
 """RMS beyond noise that a complete explanation may leave; the largest of the three counts [RMS beyond noise before]: 98
 % of the power is explained."""
@@ -46,9 +45,6 @@ has not explained the record, however much it gained."""
 LEAST_ALLOWED: Final = 0.012
 """RMS beyond noise that either may leave, however quiet the record; numbers beside effects only what is small [f_C]:
 sampling, integration and a low cutoff leave as much of a log without noise."""
-MOST_RESIDUAL: Final = 0.75
-"""RMS beyond noise that may be left for causes to be listed that are constant over the record [RMS beyond noise
-before]: measured axes have what no catalogue has; a quarter must go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +94,13 @@ def judge(final: FinalFit) -> Judged:
         # What refitted numbers explain that are no cause is no merit of the causes.
         before = final.excess(final.fit((), refitted=found.selection.unnamed))
         kept = final.excess(found.selection.fit)
-        certain = bool(found.causes) and kept < MOST_RESIDUAL * before
+        certain = bool(found.causes) and kept < (1.0 - GAIN_SHARE) * before
         log_decision(
             "verdict",
             "causes of an unexplained record are listed where they leave clearly less",
             causes=[cause.label for cause in found.causes],
             residual_beyond_noise_N=kept,
-            allowed_N=MOST_RESIDUAL * before,
+            allowed_N=(1.0 - GAIN_SHARE) * before,
             listed=certain,
         )
         if not certain:

@@ -13,7 +13,7 @@ import numpy as np
 from sgms_mhe.configuration import switch_law
 from sgms_mhe.diagnosis.alignment import align, decimate
 from sgms_mhe.diagnosis.candidates import stiffness_start, stribeck_start
-from sgms_mhe.diagnosis.criteria import Criteria
+from sgms_mhe.diagnosis.criteria import EQUAL_T, Criteria
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, machine_groups
@@ -29,9 +29,6 @@ from sgms_mhe.support.parallel import beside, run_parallel
 SHARPER: Final = 0.97
 """RMS below which the law is taken that is not the machine file's [RMS left by the other]: of a smaller difference the
 machine file is right."""
-SURER_T: Final = 3.0
-"""T over blocks from which the law is taken that leaves less, though hardly [1]: near the noise little is left to
-leave."""
 DECIDED: Final = 0.8
 """RMS below which a law is the axis's, and the other is not tried again [RMS left by the other]: no effect turns so
 much round."""
@@ -226,7 +223,7 @@ def fit_law(
     def leaves_little(one: Fit) -> bool:
         return criteria.excess(one) < DECIDED_RESIDUAL * criteria.material
 
-    surer = leaves_little(other) and difference_statistic(other.loss, fit.loss) > SURER_T
+    surer = leaves_little(other) and difference_statistic(other.loss, fit.loss) > EQUAL_T
     taken = ratio < SHARPER or surer
     better = other if taken else fit
     decided = not DECIDED < ratio < 1.0 / DECIDED and leaves_little(better)

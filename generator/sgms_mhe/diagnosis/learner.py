@@ -22,7 +22,7 @@ from scipy.linalg import solve
 
 from sgms_mhe.diagnosis.coordinates import Coordinate, Kind, warp_motion
 from sgms_mhe.diagnosis.learned import Learned, LearnedTerm
-from sgms_mhe.recordings.evidence import TINY, difference_statistic
+from sgms_mhe.recordings.evidence import CONFIDENCE, TINY, difference_statistic
 from sgms_mhe.recordings.recording import Recording, split_blocks
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.support.decisions import log_decision
@@ -51,12 +51,10 @@ GRIDS: Final[tuple[tuple[tuple[Kind, int], ...], ...]] = (
 anything is over speed, and shifted from one direction to the other."""
 PENALTIES: Final = (1e-3, 3e-2, 1.0)
 """Weights of second differences [mean information of a spline]."""
-SHRINKAGE: Final = 1.0  # weight of the splines themselves over that of their differences: between data they go to zero
 SUPPORT: Final = 1.0  # rows under a spline from which a segment tells of it
 BETTER_T: Final = 1.0
 """T over segments that a further term must gain by [1]: a term that gains by chance costs little, and the held-out
 blocks judge the sum."""
-CONFIDENCE: Final = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +282,7 @@ def _penalise(sizes: Sequence[int], kept: Mask) -> Array:
         for triple in np.lib.stride_tricks.sliding_window_view(lines, 3, axis=1).reshape(-1, 3):
             if kept[triple].all():
                 total[np.ix_(triple, triple)] += np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0))
-    return np.asarray(total[np.ix_(kept, kept)] + SHRINKAGE * np.eye(int(kept.sum())))
+    return np.asarray(total[np.ix_(kept, kept)] + np.eye(int(kept.sum())))
 
 
 def _solve(sums: _FoldSums, chosen: Sequence[_Selected], folds: Sequence[int]) -> Array:

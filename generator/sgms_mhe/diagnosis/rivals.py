@@ -12,7 +12,10 @@ import numpy as np
 
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import (
+    CLOSE,
+    EQUAL_EXCESS,
     EQUAL_T,
+    PROMISING,
     SAME_FORCE,
     Criteria,
     Ranked,
@@ -35,19 +38,9 @@ from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 
 Judgement = Literal["better", "rival", "worse", "untried"]
-PROMISING_RIVAL: Final = 0.7
-"""Linear gain from which a candidate is refitted in a cause's place [gain of the cause]: a refit finds more."""
-PROMISING_ALIKE: Final = 0.5
-"""The same for a candidate that is known to be confused with it [gain of the cause]: beside others a derivative tells
-half of an effect that fits to the noise."""
-EQUAL_EXCESS: Final = 0.3
-"""RMS that a rival may leave more whatever t says [gain that matters]: it does not matter."""
 EQUAL_SHARE: Final = 0.15
 """RMS that a rival may leave more where t does not tell the two apart [gain of the cause]: it explains 98 % of the
 power as well."""
-BETTER: Final = 0.2
-"""RMS that a candidate must leave less, t telling, to take a cause's place [gain that matters]: a cause stays unless
-something is clearly better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +191,7 @@ def _contest(
 def _promising(named: str, other: str) -> float:
     """Share of a cause's gain from which on a candidate's linear one makes a refit worth its while."""
     alike = other in cause(named).confused_with or named in cause(other).confused_with
-    return PROMISING_ALIKE if alike else PROMISING_RIVAL
+    return CLOSE if alike else PROMISING
 
 
 def _name(candidate: Ranked) -> str:
@@ -285,11 +278,11 @@ def _compare(
         return "rival", excess  # however well it fits: the record does not hold what would show it
     clearly = _is_clear(t, excess, criteria)
     simpler = name in cause(place.cause).simpler.causes and excess < material
-    if simpler and t > EQUAL_T and excess > BETTER * material:
+    if simpler and t > EQUAL_T and excess > EQUAL_EXCESS * material:
         return "rival", excess  # something more is there for sure, but not enough to matter
     if clearly or simpler:
         return "better", excess
-    hardly = excess > -BETTER * material or t > -EQUAL_T
+    hardly = excess > -EQUAL_EXCESS * material or t > -EQUAL_T
     if place.cause in cause(name).simpler.causes and hardly:
         return "worse", max(0.0, excess)  # more numbers and no better: it only imitates
     # The start and the stop pull at the numbers of what is told by them alone.
@@ -305,7 +298,7 @@ def _is_clearly_better(fit: Fit, trial: Fit, criteria: Criteria) -> bool:
 
 
 def _is_clear(t: float, excess: float, criteria: Criteria) -> bool:
-    return t < -EQUAL_T and excess < -BETTER * criteria.material
+    return t < -EQUAL_T and excess < -EQUAL_EXCESS * criteria.material
 
 
 def cause_significance(subject: Subject, fit: Fit, group: ParameterGroup) -> float:

@@ -14,7 +14,10 @@ from numpy.typing import NDArray
 from sgms_mhe.diagnosis.alignment import find_encoder_force
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import (
+    CLOSE,
     EQUAL_T,
+    GAIN_SHARE,
+    PROMISING,
     SAME_FORCE,
     Criteria,
     Ranked,
@@ -39,19 +42,6 @@ from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
-PROMISING: Final = 0.8
-"""Linear gain from which a candidate is refitted, if it is close too [gain to be added]: a refit finds more."""
-CLOSE: Final = 0.55
-"""Linear gain from which a candidate is refitted, if it is promising too [best linear gain]: a refit changes the order.
-"""
-CLEAR: Final = 0.8
-"""Linear gain from which a candidate is refitted whose force is linear in its sizes [best linear gain]: its linear gain
-says all of it."""
-EQUAL_GAIN: Final = 0.97
-"""Gain from which refitted candidates are equals [best gain]: the one that leaves the machine's numbers alone is added.
-"""
-END_SHARE: Final = 0.2
-"""RMS gain that matters once the search has ended, at least [RMS beyond noise]: a smaller one is not told from that."""
 RIVAL_STEPS: Final = 3
 """Times that a better candidate takes a cause's place, at most [1]: two that are better in turns would never end."""
 
@@ -132,7 +122,7 @@ def _refits(
     fits: dict[str, Fit] = {}
     for stage in (cheap, [r for r in shortlist if r not in cheap]):
         best = max((gain_force(current.cross, fit.cross, fit.rows) for fit in fits.values()), default=0.0)
-        proposals = [r.proposal for r in stage if r.gain > CLEAR * best]
+        proposals = [r.proposal for r in stage if r.gain > PROMISING * best]
         if proposals:
             criteria.progress.report_refits(number, [p.name for p in proposals])
         tried = run_parallel(
@@ -182,7 +172,7 @@ def _shortlist(strong: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
         return []
     near = [r for r in strong if r.gain > CLOSE * strong[0].gain]
     kept = drop_duplicates(near, SAME_FORCE)[: criteria.table.refits]
-    return [r for r in kept if r.gain > CLEAR * kept[0].gain or not effect_definition(r.proposal.name).linear]
+    return [r for r in kept if r.gain > PROMISING * kept[0].gain or not effect_definition(r.proposal.name).linear]
 
 
 def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: Criteria) -> str | None:
@@ -203,7 +193,7 @@ def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: C
         for name in gains
         if name == best
         or difference_statistic(fits[best].cross, fits[name].cross) < EQUAL_T
-        or gains[name] > EQUAL_GAIN * gains[best]
+        or gains[name] > SHARPER * gains[best]
     ]
     if len(equal) == 1:
         return best
@@ -293,7 +283,7 @@ def _search(laws: Laws, criteria: Criteria) -> Searched:
         if laws.taken != taken or current.rms < SHARPER * before.rms:
             ended = False
     # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
-    told = END_SHARE * criteria.excess(current)
+    told = GAIN_SHARE * criteria.excess(current)
     criteria = replace(criteria, material=max(criteria.material, told))
     return _choose_simpler_law(Searched(laws, current, criteria, scores, seen))
 

@@ -21,11 +21,10 @@ Array = NDArray[np.float64]
 REST: Final = 1e-9  # m in a row that are no motion
 MAP_BINS: Final = 40
 """Bins of a map of the residual [1]: a curve to look at."""
-CURVE_GAIN: Final = 0.5
-"""RMS of what is left as a curve over speed, from which a curve is taken for another one, with CURVE_SHARE [gain that
-matters]: curves over speed add up to nearly any other one, and what they miss of it is such a curve."""
-CURVE_SHARE: Final = 0.3
-"""The same over all that is left [RMS beyond noise]: where much else is left the map over speed shows some of that."""
+CURVE_SHARE: Final = 0.4
+"""RMS of what is left as a curve over speed, from which a curve is taken for another one [gain that matters, and RMS
+beyond noise]: curves over speed add up to nearly any other one, and what they miss of it is such a curve. Where much
+else is left the map over speed shows some of that."""
 LINE_POWER: Final = 3.0
 """Power of a spectrum's bin that counts as structure [median power]: above the scatter of the bins."""
 
@@ -73,7 +72,7 @@ def leaves_curve(recording: Recording, residual: Array, floor: float, material: 
     if find_steady_blocks(recording) is not None:
         return False
     beyond = math.sqrt(max(0.0, recording.rms(residual) ** 2 - floor**2))
-    return force_over_speed(recording, residual) > max(CURVE_GAIN * material, CURVE_SHARE * beyond)
+    return force_over_speed(recording, residual) > CURVE_SHARE * max(material, beyond)
 
 
 def _way_after_reversal(recording: Recording) -> Array:

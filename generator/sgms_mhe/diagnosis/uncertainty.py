@@ -25,9 +25,9 @@ from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 NOISY_CACHED: Final = 2  # records with more noise: that of the rows' rate, and the full one
-NOISE_SHARE: Final = 0.5
-"""Answer to the encoder's noise from which on an effect explains that noise and is none [gain of the effect]: a mass
-that is shaken by noise takes noise out of the force."""
+MOSTLY: Final = 0.5
+"""Share of the power of a residual, a floor or an effect's gain, from which on it is said to be the encoder's noise: a
+mass that is shaken by noise takes noise out of the force."""
 HOLD_TIMING: Final = 0.5
 """Samples that a force may be old or young by, on average, where a drive holds it over a sample."""
 FLOOR_SURE: Final = 1.03  # noise floors: what is left beyond is no noise
@@ -44,7 +44,7 @@ def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
     added = effect_definition(fit.effects[-1].name)
     if not (added.full_rate or added.inertial):
         return False
-    return find_explained_noise(subject, fit) > NOISE_SHARE * gain
+    return find_explained_noise(subject, fit) ** 2 > MOSTLY * gain**2
 
 
 def find_explained_noise(subject: Subject, fit: Fit) -> float:

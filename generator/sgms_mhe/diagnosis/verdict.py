@@ -37,7 +37,7 @@ from sgms_mhe.diagnosis.criteria import ProgressReport, make_criteria
 from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, make_final_fit, split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.harmonics import list_smoothed
-from sgms_mhe.diagnosis.judgement import MOST_WITHOUT_CAUSES, MOSTLY, Judged, allowed_excess, judge
+from sgms_mhe.diagnosis.judgement import MOST_WITHOUT_CAUSES, Judged, allowed_excess, judge
 from sgms_mhe.diagnosis.laws import SHARPER, make_laws, subtract_effects
 from sgms_mhe.diagnosis.learned_machine import learn_beside
 from sgms_mhe.diagnosis.models import FitError
@@ -47,7 +47,7 @@ from sgms_mhe.diagnosis.preparation import Prepared, prepare_logs
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces
 from sgms_mhe.diagnosis.selection import Searched, drop_effects, search_causes, select_causes
 from sgms_mhe.diagnosis.structure import structure_map
-from sgms_mhe.diagnosis.uncertainty import inertial_noise
+from sgms_mhe.diagnosis.uncertainty import FLOOR_SURE, MOSTLY, inertial_noise
 from sgms_mhe.diagnosis.wording import choose_experiment, list_alternatives, summarise
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.scales import scales_of
@@ -65,9 +65,6 @@ EXCITED: Final = 0.05
 SMEARED: Final = MOST_WITHOUT_CAUSES
 """RMS that the chain's low-passes change friction by, from which on a model's force passes them [noise floor]: what is
 less is no reason to call a machine inadequate, and the motion before the chain has noise of its own."""
-UNCLEAR: Final = 1.1
-"""RMS of the residual from which numbers identified with causes in the record are identified anew without them [noise
-floor]."""
 MOST_STARTS: Final = 3
 """Times that numbers are identified anew without the causes, at most [1]."""
 
@@ -146,7 +143,7 @@ def _diagnose_again(
         return _diagnose_aligned(file, None, logs, held_out_s, told)[0]
     has_force = not all(log.is_friction_alone for log in logs)
     for _ in range(MOST_STARTS):
-        if not found.causes or found.rms.held_out_after < UNCLEAR * found.noise_floor_N:
+        if not found.causes or found.rms.held_out_after < FLOOR_SURE * found.noise_floor_N:
             break
         anew = identify_start(without, file.machine, begun.mass, told.report_identification, has_force=has_force)
         if anew is None:
