@@ -28,6 +28,7 @@ SURVIVORS: Final[tuple[Gap, ...]] = (
     Gap(r"sgms_place", r"most \?", DAMAGED),
     Gap(r"\w+", r"sgms_place\(.*: (?:- -> \+|1 -> 0|\+ -> -)$", DAMAGED),
     Gap(r"start_fresh|start_window|start_signals|start_with", r"fill\(|side = 0|version = 0|counts", OVERWRITTEN),
+    Gap(r"start_fresh", r"i < SLOTS", OVERWRITTEN),
     Gap(r"fold_interval", r"fill\(rows", OVERWRITTEN),
     Gap(r"linearise_step|start_row", r"\{ 0 \}", OVERWRITTEN),
     Gap(r"course_ahead", r"c\.duration\[0\] : 0\.0;: 0\.0f? -> 1\.0f?$", OVERWRITTEN),
