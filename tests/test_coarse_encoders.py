@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sgms_bench.diagnosis.motions import draw_motion
+from sgms_bench.studies.coarse import draw_coarse_axis
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.alignment import find_chain_error, find_encoder_force
@@ -19,9 +20,10 @@ from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
-from sgms_mhe.recordings.path import reading_error
+from sgms_mhe.recordings.path import reading_error, smooth_blocks, smooth_path
 from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
 from sgms_mhe.report.content import _says
+from test_stated_residual import motion
 
 Array = NDArray[np.float64]
 RATE = 2000.0
@@ -201,3 +203,45 @@ def test_an_axis_drawn_anew_is_adequate_or_hidden_by_its_encoder(seed: int) -> N
     found = diagnose(machine, run.log)
     assert not found.causes
     assert found.verdict == "adequate" or (found.encoder_noise_N > 0.0 and "noise of the encoder" in found.limits[0])
+
+
+@pytest.mark.slow
+# All but 611 have the smooth law, which goes down at each reversal that a path makes of the encoder's steps.
+@pytest.mark.parametrize("seed", [500, 504, 513, 611])
+def test_what_an_encoder_makes_of_either_law_does_not_act_on_the_axis(seed: int) -> None:
+    """Its force was found 1.2 to 9 times too small: along a path read once more that had its steps already."""
+    axis = draw_coarse_axis(seed)
+    found = diagnose(axis.machine, axis.log)
+    assert (found.verdict, names(found)) == ("adequate", [])
+
+
+@pytest.mark.slow
+def test_what_acts_on_an_axis_behind_a_coarse_encoder_is_found_all_the_same() -> None:
+    """Beside a noise of the encoder that is a third to a fifth of what it makes."""
+    axis = draw_coarse_axis(513, hidden=[("asymmetric_coulomb", {"ratio": 0.15})])
+    found = diagnose(axis.machine, axis.log)
+    assert (found.verdict, names(found)) == ("explained", ["asymmetric_coulomb"])
+    assert found.causes[0].parameters["ratio"] == pytest.approx(0.15, rel=0.2)
+    axis = draw_coarse_axis(500)
+    true = axis.machine.friction.viscous
+    found = diagnose(override_machine(axis.machine, {"friction": {"viscous": true / 1.6}}), axis.log)
+    assert (found.verdict, names(found)) == ("explained", ["viscous"])
+    assert found.causes[0].parameters["viscous_N_s_m"] == pytest.approx(true, rel=0.1)
+
+
+def test_a_path_begins_and_ends_as_its_readings_do() -> None:
+    """Free at its ends it made more than a step of a start from rest, a third of a level to stiff elements."""
+    true, step = motion(np.arange(18000) / 1000.0), 1e-6
+    forth, back = (smooth_path(np.round(way / step) * step, step / math.sqrt(12.0)) for way in (true, true[::-1]))
+    assert max(np.abs(forth - true)[:32].max(), np.abs(back[::-1] - true)[:32].max()) < 0.5 * step
+
+
+def test_a_creeping_axis_goes_down_no_steps() -> None:
+    """Beside a fast move, whose weight is the path's: blocks of their own leave the creep without reversals."""
+    time, step = np.arange(8000) / 2000.0, 1e-7
+    true = np.where(time < 2.0, 1e-5 * time, 2e-5 + 0.02 * np.sin(2.0 * np.pi * 4.0 * (time - 2.0)) ** 3)
+    readings, slow = np.round(true / step) * step, slice(64, 3800)
+    whole, blocks = (smooth(readings, step / math.sqrt(12.0)) for smooth in (smooth_path, smooth_blocks))
+    back = [float(-np.sum(np.minimum(np.diff(path[slow]), 0.0))) for path in (whole, blocks)]
+    assert back[1] < 0.2 * back[0]
+    assert np.max(np.abs(blocks - true)[slow]) < step

@@ -59,6 +59,9 @@ STUDIES: Final[Mapping[str, tuple[Study, int, int]]] = {
 }
 """Studies by name, with their numbers of runs and updates."""
 
+DRAWN: Final = {"coarse": coarse_study, "identify": identification_study}
+"""Studies of drawn axes, which may begin with another draw: numbers of a range that nothing was tuned on."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one study and print its table."""
@@ -69,6 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=workers(), help="processes at a time; 0: none but this one")
     parser.add_argument("--scheduler", help="address of a Dask cluster that does the work")
     parser.add_argument("--figure", type=Path, help="of lasting alone: draw one of its logs into this file instead")
+    parser.add_argument("--first", type=int, default=0, help=f"first draw, of {' and '.join(DRAWN)} alone")
     chosen = parser.parse_args(arguments)
     study, runs, updates = STUDIES[chosen.name]
     if chosen.figure is not None:
@@ -76,8 +80,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser.error(f"argument --figure: {chosen.name} has none, lasting has")
         lasting_figure((chosen.updates or updates) / 100.0).savefig(chosen.figure, dpi=DOTS_PER_INCH)
         return 0
-    place = WorkerSlot(chosen.jobs, chosen.scheduler)
-    sys.stdout.write(f"{study(chosen.runs or runs, chosen.updates or updates, place)}\n")
+    place, runs, updates = WorkerSlot(chosen.jobs, chosen.scheduler), chosen.runs or runs, chosen.updates or updates
+    if chosen.first:
+        if chosen.name not in DRAWN:
+            parser.error(f"argument --first: {chosen.name} has none, {' and '.join(DRAWN)} have")
+        sys.stdout.write(f"{DRAWN[chosen.name](runs, updates / 100.0, chosen.first, place)}\n")
+        return 0
+    sys.stdout.write(f"{study(runs, updates, place)}\n")
     return 0
 
 

@@ -67,8 +67,13 @@ class CoarseAxis:
     steps: float
 
 
-def draw_coarse_axis(seed: int, seconds: float = 12.0) -> CoarseAxis:
-    """Draw an axis and its log: 1 to 4 elements of either law, 5 to 500 encoder steps per presliding distance."""
+def draw_coarse_axis(
+    seed: int, seconds: float = 12.0, hidden: Sequence[tuple[str, Mapping[str, float]]] = ()
+) -> CoarseAxis:
+    """Draw an axis and its log: 1 to 4 elements of either law, 5 to 500 encoder steps per presliding distance.
+
+    `hidden`: effects that it has beside those drawn.
+    """
     random = np.random.default_rng([35, seed])
     kind: Kind = "rotary" if random.random() < 0.5 else "linear"
     size = 50.0 if kind == "rotary" else 1.0  # radians for metres
@@ -97,7 +102,7 @@ def draw_coarse_axis(seed: int, seconds: float = 12.0) -> CoarseAxis:
         sampling["integrator"] = {"scheme": "flow"}
     plant = {"kind": kind, "inertia" if kind == "rotary" else "mass": inert}
     content = {"name": "truth", "plant": plant, "friction": friction, "sampling": sampling}
-    effects, traits = [], []
+    effects, traits = [*hidden], []
     if kind == "rotary" and random.random() < 0.6:
         traits.append("gravity")
         phase = float(random.uniform(-math.pi, math.pi))

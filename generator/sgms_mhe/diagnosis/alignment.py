@@ -16,6 +16,7 @@ from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST, drop_bounds
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.recordings.evidence import largest_force, misread_forces
 from sgms_mhe.recordings.least_squares import RIDGE, TINY, solve_box
 from sgms_mhe.recordings.recording import Recording, reduce_signals
 from sgms_mhe.recordings.series import Shift, row_means
@@ -225,15 +226,16 @@ def find_encoder_force(whole: Subject, fit: Fit) -> Array | None:
     """Return the force that the encoder's steps leave in a residual (m) [N]; None where they do not show.
 
     Mass times the acceleration that they make; and friction, as far as the model takes another trajectory from them:
-    where stiff elements stick, a fraction of a step is a force. One realisation, lines being elsewhere.
+    where stiff elements stick, a fraction of a step is a force; and a smooth law goes down a little at every reversal
+    near its level. One realisation, lines being elsewhere.
     """
     recording, still = whole.recording, _drop_ringing(fit)
     inertial = recording.steps_inertia
     if inertial is None or recording.unfiltered is None or recording.misread is None:
         return None
-    read, misread = (_friction_before_chain(whole, still, w) for w in (recording.unfiltered, recording.misread))
-    force = inertial - (misread - read)
-    return force if np.all(np.isfinite(force)) else inertial
+    tasks = [partial(_friction_before_chain, whole, still, motion) for motion in recording.misread_motions()]
+    force = largest_force(recording, misread_forces(inertial, run_parallel(tasks)))
+    return inertial if force is None else force
 
 
 def _friction_before_chain(whole: Subject, fit: Fit, motion: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,10 @@ from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+ALLOWED_ENCODER: Final = 1.0
+"""RMS beyond noise that a complete explanation may leave where the encoder's steps make most of the floor [noise
+floor]: where its lines are, and so how much of their noise passes the low-passes, is known to a factor of 1.4."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +150,11 @@ class FinalFit:
 
     @property
     def encoder_friction(self) -> float:
-        """RMS of the friction that the encoder's steps leave [N]: numbers of the machine imitate it."""
+        """RMS of the friction that the encoder's steps may leave [N]: numbers of the machine imitate it."""
         inertial = self.record.steps_inertia
-        return 0.0 if self.encoder is None or inertial is None else self.record.rms(self.encoder - inertial)
+        if self.encoder is None or inertial is None:
+            return 0.0
+        return math.hypot(1.0, ALLOWED_ENCODER) * self.record.rms(self.encoder - inertial)
 
     def find_floor(self, left: RecordResidual) -> float:
         """Return the noise floor of the whole record [N], from its residual."""

@@ -15,7 +15,7 @@ from sgms_mhe.diagnosis.causes import (
     restore_undetermined,
 )
 from sgms_mhe.diagnosis.criteria import GAIN_SHARE, material_force, small_force
-from sgms_mhe.diagnosis.final_fit import FinalFit
+from sgms_mhe.diagnosis.final_fit import ALLOWED_ENCODER, FinalFit
 from sgms_mhe.diagnosis.fits import Fit, fit_model
 from sgms_mhe.diagnosis.parametrisation import ParameterGroup, machine_groups
 from sgms_mhe.diagnosis.result import Verdict
@@ -30,9 +30,6 @@ from sgms_mhe.support.decisions import log_decision
 ALLOWED_NOISE: Final = 0.5
 """RMS beyond noise that a complete explanation may leave; the largest of the three counts [noise floor]: the floor
 itself is an estimate."""
-ALLOWED_ENCODER: Final = 1.0
-"""The same where the encoder's steps make most of the floor: where its lines are, and so how much of their noise passes
-the low-passes, is known to a factor of 1.4."""
 ALLOWED_SHARE: Final = 0.15
 """RMS beyond noise that a complete explanation may leave; the largest of the three counts [RMS beyond noise before]: 98
 % of the power is explained."""
@@ -148,7 +145,7 @@ def _may_stand_in(name: str) -> bool:
 def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
     """Return True if a good part of the residual of a fit is a curve over speed, and it matters."""
     material = material_force(final.record.machine, final.floor)
-    return leaves_curve(final.record, final.residual_of(fit).residual, final.floor, material)
+    return leaves_curve(final.record, final.residual_of(fit).residual, final.floor, material, final.encoder)
 
 
 def _encoder_rms(final: FinalFit) -> float:

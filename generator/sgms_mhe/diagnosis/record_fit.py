@@ -122,6 +122,5 @@ def shift_position(recording: Recording, shift: float) -> Recording:
         signals=replace(recording.signals, position=recording.signals.position + shift),
         position=recording.position + shift,
         unfiltered=shift_column(recording.unfiltered),
-        misread=shift_column(recording.misread),
         runs=Runs(),
     )

@@ -12,7 +12,7 @@ from sgms_mhe.configuration import step_every_sample
 from sgms_mhe.diagnosis.verdict import SMEARED
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine, Units
-from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.evidence import largest_force, misread_forces, noise_floor
 from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import apply_chain
@@ -69,9 +69,10 @@ def measure_residual(machine: Machine, log: Log) -> MachineResidual:
         smear = unfiltered - simulated
         if np.all(np.isfinite(smear)) and record.rms(smear) > SMEARED * noise_floor(record, residual):
             residual = residual - smear
-        if encoder is not None and record.misread is not None:
-            force = encoder - (_friction_before_chain(model, record, record.misread) - unfiltered)
-            encoder = force if np.all(np.isfinite(force)) else encoder
+    if encoder is not None and record.misread is not None:
+        friction = [_friction_before_chain(model, record, motion) for motion in record.misread_motions()]
+        found = largest_force(record, misread_forces(encoder, friction))
+        encoder = encoder if found is None else found
     held_out = residual[record.rows_held_out()]
     return MachineResidual(
         rms_N=record.rms(residual),

@@ -58,7 +58,9 @@ def force_over_speed(recording: Recording, residual: Array) -> float:
     return _binned(recording, residual, "velocity", recording.velocity).rms_N
 
 
-def leaves_curve(recording: Recording, residual: Array, floor: float, material: float) -> bool:
+def leaves_curve(
+    recording: Recording, residual: Array, floor: float, material: float, encoder: Array | None = None
+) -> bool:
     """Return True if a good part of a residual (m) is a curve over speed, and it matters.
 
     Of one speed there is no curve: what is one over the encoder's noise is none over speed.
@@ -68,11 +70,14 @@ def leaves_curve(recording: Recording, residual: Array, floor: float, material: 
         residual: measured minus model (m) [N].
         floor: noise of the measured friction [N].
         material: RMS gain that matters [N].
+        encoder: force that the encoder's steps leave (m) [N], whose own curve is none of the axis; None: none shows.
     """
     if find_steady_blocks(recording) is not None:
         return False
     beyond = math.sqrt(max(0.0, recording.rms(residual) ** 2 - floor**2))
-    return force_over_speed(recording, residual) > CURVE_SHARE * max(material, beyond)
+    least = CURVE_SHARE * max(material, beyond)
+    read = 0.0 if encoder is None else force_over_speed(recording, encoder)
+    return force_over_speed(recording, residual) > math.hypot(least, read)
 
 
 def _way_after_reversal(recording: Recording) -> Array:

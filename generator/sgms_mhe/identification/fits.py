@@ -26,7 +26,7 @@ from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.identification.terms import Term
 from sgms_mhe.machine.axis import FASTEST_STRIBECK
 from sgms_mhe.model.effects.base import LARGEST_RISE
-from sgms_mhe.recordings.evidence import UNSEEN_ERROR, cross_loss, noise_floor, robust_covariance
+from sgms_mhe.recordings.evidence import UNSEEN_ERROR, cross_loss, misread_forces, noise_floor, robust_covariance
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise, solve_nonnegative
 from sgms_mhe.recordings.recording import Recording
 
@@ -388,7 +388,7 @@ def encoder_forces(view: RecordView, fit: AxisFit) -> list[Array]:
     """
     if view.steps_inertia is None:
         return []
-    return [np.asarray(view.steps_inertia - friction_change(view, fit, motions)) for motions in view.misread]
+    return misread_forces(view.steps_inertia, [friction_change(view, fit, motions) for motions in view.misread])
 
 
 def friction_change(view: RecordView, fit: AxisFit, motions: Sequence[ElementMotion]) -> Array:

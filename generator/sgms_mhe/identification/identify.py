@@ -50,7 +50,7 @@ from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model.effects import MOVES, Measure, effect_definition
 from sgms_mhe.model.effects.causes import CauseDefinition
-from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.evidence import largest_force, noise_floor
 from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import signals_of_record
@@ -404,7 +404,8 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         mass, said = mass_number(final, given, mass_kg, units)
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, unexcited))
-    floor = noise_floor(views.fine.rows, fit.residual, next(iter(encoder_forces(views.fine, fit)), None))
+    rows = views.fine.rows
+    floor = noise_floor(rows, fit.residual, largest_force(rows, encoder_forces(views.fine, fit)))
     limits = [
         *said,
         *list_limits(numbers, found, final, views.fine, units, unexcited),

@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.encoder import encoder_noise
 from sgms_mhe.recordings.joining import drop_rows, join_recordings
-from sgms_mhe.recordings.path import SEED as STEPS_SEED
-from sgms_mhe.recordings.path import bridge_gaps, displacements, reading_error, smooth_path, thin_path
+from sgms_mhe.recordings.path import (
+    ENCODERS,
+    bridge_gaps,
+    displacements,
+    misread_paths,
+    reading_error,
+    smooth_path,
+    thin_path,
+)
 from sgms_mhe.recordings.recording import Recording, Runs, add_encoder, position_error, prepare
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import apply_chain, readings
@@ -34,10 +41,6 @@ RUNS_CACHED: Final = 64
 
 CLEARLY: Final = 2.0
 """Noise of a stretch from which on it is not that of an encoder's steps [theirs]: it scatters by less."""
-ENCODERS: Final = 4
-"""Encoders that read a way once more: of fewer, what they make of a number would be less sure than the number."""
-SEED: Final = 20261127
-"""Of their lines and their noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +89,8 @@ class Records:
         coarse: motion behind the filters at the rate of the rows, a log each.
         fine: the encoder's motion at the logs' rate, a log each.
         steps_inertia: force of the acceleration that the encoder's steps make (m) [N]; None where they do not show.
-        misread: `fine` as each of ENCODERS encoders of these steps, their lines elsewhere, reads it, a log each; none
-            where no steps show.
+        misread: the motion without the encoder's steps (`smooth_blocks`), and as each of ENCODERS encoders of these
+            steps, their lines elsewhere, reads that, a log each; none where no steps show.
         thinned: `fine` through every second sample, the even ones and the odd ones, a log each.
         resolution: of the position [m], noise of a measurement included.
         warnings: what a user should know of the logs.
@@ -172,7 +175,7 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
                 own if inertia is None else _encoder_motion(recording, log, path[k])
                 for own, inertia, recording, log, path in zip(fine, steps, recordings, logs, paths, strict=True)
             )
-            for k in range(1, ENCODERS + 1)
+            for k in range(1, ENCODERS + 2)
         )
         if shown
         else (),
@@ -184,7 +187,7 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
 
 
 def _read_path(log: Log, error: float) -> list[Array]:
-    """Return the way of an axis (n) [m] and, where its encoder's steps show, that as other encoders would read it.
+    """Return the way of an axis (n) [m]; where its encoder's steps show, one without them, and as others would read it.
 
     Args:
         log: the record.
@@ -199,13 +202,9 @@ def _read_path(log: Log, error: float) -> list[Array]:
         beyond = np.where(course > CLEARLY * counted, np.sqrt(np.maximum(0.0, course**2 - counted**2)), 0.0)
         course = np.hypot(error, beyond)
     way = smooth_path(position, error, course)
-    paths = [way]
-    for k in range(ENCODERS if step > 0.0 else 0):
-        white = beyond * np.random.default_rng([SEED, k]).standard_normal(len(way))
-        # The first is the encoder of a diagnosis: one noise floor.
-        read = way + white + reading_error(way + white, step, uneven=True, seed=STEPS_SEED + k)
-        paths.append(smooth_path(read, error, course))
-    return paths
+    if step == 0.0:
+        return [way]
+    return [way, *misread_paths(position, step, error, course, beyond)]
 
 
 def _acceleration_noise(recording: Recording, log: Log) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -127,6 +128,26 @@ def noise_floor(recording: Recording, residual: Array, encoder: Array | None = N
     steps = float(np.mean(encoder[recording.used] ** 2))
     noise = min(quiet, background + steps)  # of lines at one speed the encoder may have made some
     return math.sqrt(noise if hides_friction(recording, encoder) else max(steps, noise))
+
+
+def misread_forces(inertial: Array, friction: Sequence[Array]) -> list[Array]:
+    """Return the forces that an encoder's steps leave in a residual (m) [N], one for each encoder.
+
+    Args:
+        inertial: force of the acceleration that the steps make (m) [N].
+        friction: a model's (m) [N], along a trajectory without steps and along those that encoders make of it.
+    """
+    true, *misread = friction
+    return [inertial + true - other for other in misread]
+
+
+def largest_force(recording: Recording, forces: Sequence[Array]) -> Array | None:
+    """Return the largest (m) of what encoders leave; None where there is none, or one is not finite.
+
+    An axis that stops at few places is read right or wrong there by chance: by a factor of two from encoder to encoder.
+    """
+    sizes = [recording.rms(force) for force in forces]
+    return forces[int(np.argmax(sizes))] if sizes and np.all(np.isfinite(sizes)) else None
 
 
 def hides_friction(recording: Recording, encoder: Array) -> bool:

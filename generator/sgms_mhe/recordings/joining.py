@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.recordings.path import ENCODERS
 from sgms_mhe.recordings.recording import Recording, Runs
 from sgms_mhe.signals.chain import Signals
 
@@ -24,10 +25,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     if len(recordings) == 1:
         return first
     if any(r.noise is not None for r in recordings):
-        recordings = [
-            r if r.noise is not None else replace(r, noise=np.zeros((len(r.signals), 3)), misread=r.unfiltered)
-            for r in recordings
-        ]
+        recordings = [r if r.noise is not None else _add_no_steps(r) for r in recordings]
     offsets = np.cumsum([0, *(r.blocks for r in recordings)])
 
     def joined(name: str) -> Any:
@@ -51,6 +49,13 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         of_log=np.repeat(np.arange(len(recordings)), [len(r.time) for r in recordings]),
         runs=Runs(),
     )
+
+
+def _add_no_steps(recording: Recording) -> Recording:
+    """Return a recording whose encoder leaves nothing: every encoder reads its own velocity."""
+    own = recording.unfiltered
+    misread = None if own is None else np.repeat(own[:, 1:2], 1 + ENCODERS, axis=1)
+    return replace(recording, noise=np.zeros((len(recording.signals), 3)), misread=misread)
 
 
 def drop_rows(recording: Recording, rows: Mask) -> Recording:

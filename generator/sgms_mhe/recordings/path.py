@@ -20,10 +20,18 @@ CLOSE: Final = 1.75
 WEIGHTS: Final = (-3.0, 8.0)
 """Decimal logarithms of the weights of smoothness that are tried."""
 HALVINGS: Final = 8
+CLOSE_ALONE: Final = 1.2
+"""The same of a block that has a weight of its own: errors of an encoder alone leave more in one of a hundred."""
+REPAIRS: Final = 12
+"""Times that blocks which are too far from their readings, and those beside them, get a tenth of the weight."""
 ELSEWHERE: Final = 0.25
 """Steps between an encoder's lines and where they might be as well."""
+ENCODERS: Final = 4
+"""With their lines elsewhere each, that read a way once more: where it stops between lines, one alone says little."""
 SEED: Final = 20261126
 """Of the lines' places: the same log gives the same noise."""
+NOISE_SEED: Final = 20261127
+"""Of what readings have beside it."""
 
 
 def smooth_path(position: Array, noise: float, course: Array | None = None) -> Array:
@@ -40,20 +48,54 @@ def smooth_path(position: Array, noise: float, course: Array | None = None) -> A
         noise: of a reading, one standard deviation [m]; 0: they are the way.
         course: of each reading (n) [m], where some have more; None: all have as much.
     """
-    if noise == 0.0 or len(position) < BLOCK:
+    if noise == 0.0 or len(position) <= BLOCK:
         return position
-    readings = (position - position[0]) / noise
-    larger = np.ones(len(position)) if course is None else np.maximum(1.0, course / noise)
+    readings, larger = _extend(position, noise, course)
     low, high = WEIGHTS
     found = readings
     for _ in range(HALVINGS):
         weight = 0.5 * (low + high)
         way = _graduate(readings, 10.0**weight, larger)
-        if _largest_residual((readings - way) / larger) <= CLOSE:
+        if _largest_residual(((readings - way) / larger)[BLOCK:-BLOCK]) <= CLOSE:
             low, found = weight, way
         else:
             high = weight
-    return np.asarray(position[0] + noise * found)
+    return np.asarray(position[0] + noise * found[BLOCK:-BLOCK])
+
+
+def smooth_blocks(position: Array, noise: float, course: Array | None = None) -> Array:
+    """The way (n) [m] that is as smooth in every block as the block's own readings allow.
+
+    `smooth_path` has one weight, that of the fastest part of a record: where the axis creeps it goes down every step of
+    the encoder. To elements that is a reversal at each line, which the axis itself need not make. A trajectory that an
+    encoder is to read once more has to be free of what it left at the first time; but no better as an estimate, as
+    what is finer than a step is lost where the axis makes it too. Arguments as of `smooth_path`.
+    """
+    if noise == 0.0 or len(position) <= BLOCK:
+        return position
+    readings, larger = _extend(position, noise, course)
+    block = np.arange(len(readings)) // BLOCK
+    rows = np.bincount(block)
+    weighed = block[: len(readings) - len(DIFFERENCE) + 1]
+
+    def smooth(weights: Array) -> tuple[Array, Array]:
+        way = _graduate(readings, 10.0 ** weights[weighed], larger)
+        far = np.bincount(block, weights=((readings - way) / larger) ** 2) > CLOSE_ALONE**2 * rows
+        return way, np.asarray(far)
+
+    low, high = (np.full(len(rows), end) for end in WEIGHTS)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        far = smooth(middle)[1]
+        low, high = np.where(far, low, middle), np.where(far, middle, high)
+    way, far = smooth(low)
+    for _ in range(REPAIRS):
+        if not far.any():
+            break
+        beside = np.convolve(far, np.ones(3), mode="same") > 0.0
+        low = np.where(beside, np.maximum(WEIGHTS[0], low - 1.0), low)
+        way, far = smooth(low)
+    return np.asarray(position[0] + noise * way[BLOCK:-BLOCK])
 
 
 def bridge_gaps(position: Array) -> Array:
@@ -86,6 +128,28 @@ def reading_error(way: Array, step: float, *, uneven: bool = False, seed: int = 
     return np.asarray(step * (np.round(way) - way))
 
 
+def misread_paths(
+    position: Array, step: float, noise: float, course: Array | None = None, beyond: Array | None = None
+) -> list[Array]:
+    """Return a way (n) [m] without an encoder's steps, and as each of ENCODERS such encoders has it, lines elsewhere.
+
+    Args:
+        position: readings (n) [m], without gaps.
+        step: from line to line [m].
+        noise, course: as of `smooth_path`.
+        beyond: noise of each reading that the steps do not make (n) [m]; None: none.
+    """
+    true = smooth_blocks(position, noise, course)
+    paths = [true]
+    for k in range(ENCODERS):
+        noisy = true
+        if beyond is not None:
+            noisy = true + beyond * np.random.default_rng([NOISE_SEED, k]).standard_normal(len(true))
+        read = noisy + reading_error(noisy, step, uneven=True, seed=SEED + k)
+        paths.append(smooth_path(read, noise, course))
+    return paths
+
+
 def thin_path(way: Array) -> tuple[Array, Array]:
     """Return a way (n) [m] as a cubic spline through its even samples has it, and through its odd ones (n) each.
 
@@ -97,8 +161,18 @@ def thin_path(way: Array) -> tuple[Array, Array]:
     return even, odd
 
 
-def _graduate(readings: Array, weight: float, noise: Array) -> Array:
-    """Solve (I / noise^2 + weight D'D) way = readings / noise^2, D being third differences."""
+def _extend(position: Array, noise: float, course: Array | None) -> tuple[Array, Array]:
+    """Return readings (n + 2 BLOCK) [noise] that go on at both ends as they came, and their errors [noise].
+
+    A way that ends with its readings is free there to bend by more than a step, which elements take for a force.
+    """
+    readings = np.pad((position - position[0]) / noise, BLOCK, mode="reflect", reflect_type="odd")
+    larger = np.ones(len(position)) if course is None else np.maximum(1.0, course / noise)
+    return readings, np.pad(larger, BLOCK, mode="reflect")
+
+
+def _graduate(readings: Array, weight: float | Array, noise: Array) -> Array:
+    """Solve (I / noise^2 + D' weight D) way = readings / noise^2, D being third differences (n - 3, n)."""
     order, n = len(DIFFERENCE) - 1, len(readings)
     bands = np.zeros((order + 1, n))
     for i, one in enumerate(DIFFERENCE):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.recordings.path import bridge_gaps, reading_error, smooth_path
+from sgms_mhe.recordings.path import bridge_gaps, misread_paths, reading_error, smooth_path
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
 from sgms_mhe.signals.logs import Log
@@ -113,7 +113,8 @@ class Recording:
             elsewhere; None where its steps do not show, and where nobody asked (`add_encoder`).
         unfiltered: position, velocity, acceleration and force before the chain (n, 4), the position between the
             encoder's steps; None where speeds do not come from it, and where nobody asked (`add_encoder`).
-        misread: the same where an encoder of these steps, its lines elsewhere, reads that motion; None as `noise`.
+        misread: its velocity along a trajectory without the encoder's steps, and along those that encoders make of it
+            (`misread_paths`) (n, 1 + ENCODERS); None as `noise`.
         acceleration_noise: variance of what the encoder adds to an acceleration [m^2/s^4]; 0 where nobody asked.
         has_own_speeds: whether its log brings a velocity or an acceleration, which then do not come from its position.
         is_filtered: whether friction has passed the chain's low-passes; not that of a log that brings velocity as well.
@@ -223,6 +224,14 @@ class Recording:
         """Force of the acceleration that the encoder's steps make (m) [N]; None where they do not show."""
         return None if self.noise is None else self.inertia * self.reduce(self.noise[:, 2])
 
+    def misread_motions(self) -> Iterator[Array]:
+        """Yield motions as `unfiltered` (n, 4) along each column of `misread`; none where there are none."""
+        if self.unfiltered is None or self.misread is None:
+            return
+        for velocity in self.misread.T:
+            position, _, acceleration, force = self.unfiltered.T
+            yield np.column_stack((position, velocity, acceleration, force))
+
     def rows_held_out(self) -> Mask:
         """Used rows in held-out blocks (m)."""
         return self.used & np.where(self.block >= 0, self.held_out[self.block], False)
@@ -286,16 +295,20 @@ def add_encoder(recording: Recording, log: Log) -> Recording:
     unfiltered = _unfiltered_motion(machine, way, force)
     if step == 0.0:
         return replace(recording, unfiltered=unfiltered)
-    misread = _unfiltered_motion(machine, smooth_path(way + reading_error(way, step, uneven=True), error), force)
-    noise = filter_position(machine, reading_error(way, step))
-    return replace(recording, unfiltered=unfiltered, misread=misread, noise=noise)
+    true, *read = misread_paths(position, step, error)
+    noise = filter_position(machine, reading_error(true, step))
+    return replace(recording, unfiltered=unfiltered, misread=_velocities(machine, [true, *read]), noise=noise)
 
 
 def _unfiltered_motion(machine: Machine, way: Array, force: Array) -> Array:
     """Return `Recording.unfiltered` of a trajectory (n) [m] and a force (n); the velocity is that before a sample."""
-    rate = machine.sampling.rate
-    velocity = np.diff(way, prepend=way[:1]) * rate
-    return np.column_stack((way, velocity, np.diff(velocity, append=velocity[-1:]) * rate, force))
+    velocity = _velocities(machine, [way])[:, 0]
+    return np.column_stack((way, velocity, np.diff(velocity, append=velocity[-1:]) * machine.sampling.rate, force))
+
+
+def _velocities(machine: Machine, ways: Sequence[Array]) -> Array:
+    """Return the velocities before each sample of trajectories (k) of (n) [m]: (n, k) [m/s]."""
+    return np.column_stack([np.diff(way, prepend=way[:1]) * machine.sampling.rate for way in ways])
 
 
 def position_error(position: Array) -> float:
