@@ -229,6 +229,15 @@ def test_what_acts_on_an_axis_behind_a_coarse_encoder_is_found_all_the_same() ->
     assert found.causes[0].parameters["viscous_N_s_m"] == pytest.approx(true, rel=0.1)
 
 
+@pytest.mark.slow
+def test_a_record_that_its_own_numbers_explain_is_not_left_unexplained_by_the_files() -> None:
+    """A ripple makes a file look rough; begun from the file, the search took the other law and named no cause."""
+    axis = draw_coarse_axis(504, hidden=[("force_ripple", {"amplitude_N": 2.2, "pitch_m": 4e-3, "phase_rad": 0.7})])
+    found = diagnose(axis.machine, axis.log)
+    assert (found.verdict, names(found)) == ("explained", ["force_ripple"])
+    assert found.causes[0].parameters["pitch_m"] == pytest.approx(4e-3, rel=0.01)
+
+
 def test_a_path_begins_and_ends_as_its_readings_do() -> None:
     """Free at its ends it made more than a step of a start from rest, a third of a level to stiff elements."""
     true, step = motion(np.arange(18000) / 1000.0), 1e-6

@@ -135,12 +135,14 @@ def _diagnose_again(
         told: of each step.
 
     Returns:
-        A diagnosis from the file where its numbers hold beside the causes; the better one of two where numbers
-        identified without them leave less; else `found`.
+        A diagnosis from the file where its numbers hold beside the causes, unless it alone is unexplained; the better
+        one of two where numbers identified without them leave less; else `found`.
     """
     if not found.is_rough:
-        log_decision("beginning", "the file's numbers hold beside the causes: diagnosed from them")
-        return _diagnose_aligned(file, None, logs, held_out_s, told)[0]
+        again = _diagnose_aligned(file, None, logs, held_out_s, told)[0]
+        lost = again.verdict == "unexplained" != found.verdict
+        log_decision("beginning", "the file's numbers hold beside the causes: diagnosed from them", explains_less=lost)
+        return found if lost else again
     has_force = not all(log.is_friction_alone for log in logs)
     for _ in range(MOST_STARTS):
         if not found.causes or found.rms.held_out_after < FLOOR_SURE * found.noise_floor_N:
