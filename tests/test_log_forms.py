@@ -21,6 +21,7 @@ from sgms_mhe.logfiles.names import is_usual
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import understand
 from sgms_mhe.recordings.recording import prepare
+from sgms_mhe.signals.chain import Chain
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -222,6 +223,27 @@ def test_a_velocity_alone_is_integrated_and_said(header: str, seed: int, tmp_pat
     assert np.flatnonzero(~good).tolist() == [100, 101, 102]
     assert found.position_m[good] == pytest.approx(expected[good], abs=1e-3 * np.ptp(expected))
     assert len(notes) == 1 and "is integrated from 0" in notes[0] and "rad by the end" in notes[0]
+
+
+@pytest.mark.parametrize("has_position", [True, False], ids=["position", "none"])
+@pytest.mark.parametrize("timing", ["instant", "mean"])
+def test_a_recorded_velocity_makes_the_acceleration_that_a_position_makes(
+    timing: str, has_position: bool, tmp_path: Path
+) -> None:
+    """An acceleration half a sample ahead of the force is a delay of it that the axis has not."""
+    (tmp_path / "relay.toml").write_text(RELAY)
+    machine, log = load_machine(tmp_path / "relay.toml"), rotor(3, rate=1000.0)
+    assert log.velocity_m_s is not None
+    mean = np.diff(log.position_m, prepend=2.0 * log.position_m[0] - log.position_m[1]) * log.rate
+    velocity = mean if timing == "mean" and has_position else log.velocity_m_s  # integrated: of the instants
+    names = ("time_s", "position_rad", "torque_Nm") if has_position else ("time_s", "torque_Nm")
+    found, plain = (
+        Chain(machine).take(read_log(write(tmp_path / "log.csv", **columns)))
+        for columns in ({**own(log, *names), "velocity_rad_s": velocity}, own(log))
+    )
+    change = np.gradient(plain.acceleration)[200:-200]  # the filters have settled
+    apart = (found.acceleration - plain.acceleration)[200:-200]
+    assert abs(float(apart @ change) / float(change @ change)) < 0.02  # samples
 
 
 def test_a_friction_alone_stands_for_the_force(tmp_path: Path) -> None:
