@@ -551,7 +551,7 @@ def test_time_in_milliseconds_read_as_seconds_is_said(machine: Machine, small: P
     log = simulated(machine)
     path = tmp_path / "axis.csv"
     write_log(path, Log(1e3 * log.time_s, log.position_m, log.force_N, 1.0))
-    assert 'time in ms? [log] of the machine file has time_s = { variable = "...", unit = "ms" }' in refused(
+    assert 'time in ms? [log] (machine file, --log) has time_s = { variable = "...", unit = "ms" }' in refused(
         "estimate", small, path, "--out", tmp_path / "e.csv"
     )
     assert "time in another unit?" in run("inspect", path).stdout

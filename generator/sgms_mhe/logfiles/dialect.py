@@ -30,7 +30,7 @@ _SURE_ROWS: Final = 5
 """Rows in sequence that are samples; above them a preamble may have two or three alike."""
 _SEARCHED: Final = 2000
 """Lines in which the first sample is looked for before the whole file is."""
-_SAYS: Final = "[log] of the machine file has"
+_SAYS: Final = "[log] (machine file, --log) has"
 UNTOLD: Final = f'a number that is told: a decimal mark, or groups of thousands? {_SAYS} decimal = "," or decimal = "."'
 """What is wanted instead of 1,234, where nothing tells which of the two it is."""
 LONGEST_SUMMARY: Final = 200

@@ -35,7 +35,10 @@ def decode(path: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
     except UnicodeDecodeError as error:
         where = f"byte {error.start}"
         raise InputError(
-            path, where, None, f'{chosen} text; another encoding? [log] of the machine file has encoding = "..."'
+            path,
+            where,
+            None,
+            f'{chosen} text; another encoding? [log] (machine file, --log) has encoding = "..."',
         ) from None
     check_text(path, text)
     return text, "utf-8" if chosen == "utf-8-sig" and not content.startswith(codecs.BOM_UTF8) else chosen
@@ -45,7 +48,7 @@ def check_text(path: Path, text: str, before: int = 0) -> None:
     """Refuse what no text has; `before`: lines above this one."""
     if found := _NO_TEXT.search(text):
         line = before + text.count("\n", 0, found.start()) + 1
-        allowed = "text; a file of another format needs its own suffix, another encoding [log] of the machine file"
+        allowed = "text; a file of another format needs its own suffix, another encoding [log] (machine file, --log)"
         raise InputError(path, f"line {line}", found[0], allowed)
 
 
@@ -106,7 +109,7 @@ class Decoder:
                 self._choose("latin-1")  # ASCII so far, which is both
                 text = self._decode(pending, whole)
             else:
-                allowed = f'{self._chosen} text; another encoding? [log] of the machine file has encoding = "..."'
+                allowed = f'{self._chosen} text; another encoding? [log] (machine file, --log) has encoding = "..."'
                 raise InputError(self._path, "text", None, allowed) from None
         self._plain = self._plain and text.isascii()
         return text

@@ -168,6 +168,6 @@ def inspect_reading(reading: LogContent, machine: Machine | None) -> Inspection:
     if not SLOW_HZ <= reading.timing.rate <= FAST_HZ and machine is None:
         line = 'time_s = { variable = "...", unit = "ms" }'
         notes.append(
-            f"{reading.timing.rate:.4g} samples per second: time in another unit? [log] of the machine file: {line}"
+            f"{reading.timing.rate:.4g} samples per second: time in another unit? [log] (machine file, --log): {line}"
         )
     return Inspection(reading, tuple(problems), tuple(notes))

@@ -48,7 +48,7 @@ INTERVAL: Final = 0.01
 _TRAVEL: Final = 0.01
 """Of the travel: how far behind a reversal friction has its new direction at the least."""
 
-_MAPPING = "[log] of the machine file says which variable a column is and in what unit"
+_MAPPING = "[log] (machine file, --log) says which variable a column is and in what unit"
 _SMALL: Final[Mapping[Kind, tuple[str, ...]]] = {"linear": ("mm", "um", "nm"), "rotary": ("deg", "mrad", "urad")}
 """Units that people leave out, the usual one first."""
 
@@ -262,7 +262,7 @@ def _check_derivatives(log: Log, samples: int) -> None:
             continue
         remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else _unit_near(log, name, ratio) or "scale = ..."
         own, position = log.units.named(name), log.units.named("position_m")
-        allowed = f'{own} as {position} has it; [log] of the machine file has {own} = {{ variable = "...", {remedy} }}'
+        allowed = f'{own} as {position} has it: [log] (machine file, --log) {own} = {{ variable = "...", {remedy} }}'
         raise _implausible(log, f"column {own}", f"{ratio:.3g} times the rate of change of {position}", allowed)
 
 
@@ -293,7 +293,8 @@ def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
         seen = share if balance.inertia < 0.0 else "drives the motion as no friction does"
         allowed = (
             f"a {units.push} that accelerates the axis the way that {position} counts; of the other sign "
-            f'[log] of the machine file has {force} = {{ variable = "...", scale = -1.0 }}, or the same for {position}'
+            f'[log] (machine file, --log) has {force} = {{ variable = "...", scale = -1.0 }}, '
+            f"or the same for {position}"
         )
         raise _implausible(log, f"column {force}", seen, allowed)
     if machine is None or balance.inertia == 0.0:
@@ -343,7 +344,7 @@ def _remedy(log: Log, machine: Machine, ratio: float) -> str:
     ]
     found.append(f'{force} = {{ variable = "...", scale = {1.0 / ratio:.3g} }}')
     known = f"the log determines {units.inert} over scale alone, {ratio * machine.plant.moved:.3g} {units.mass}"
-    return f"[log] of the machine file has {' or '.join(found)}, the scale times the one that it has: {known}"
+    return f"[log] (machine file, --log) has {' or '.join(found)}, the scale times the one that it has: {known}"
 
 
 def _rms(values: Array) -> float:
@@ -384,5 +385,5 @@ def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
         f"{needed:.3g} {units.force} rms for plant.{units.inert} = {machine.plant.moved:g} {units.mass} to move so and "
         f"{rubbing:.3g} {units.force} rms for friction.coulomb, {driving:.3g} {units.force} rms measured"
     )
-    remedy = f"[log] of the machine file has {' or '.join(lines)}" if lines else _MAPPING
+    remedy = f"[log] (machine file, --log) has {' or '.join(lines)}" if lines else _MAPPING
     raise _implausible(log, _both(log), seen, f"a motion and the {units.push} that makes it; {remedy}")

@@ -154,7 +154,7 @@ def _vector(path: Path, source: Source, values: NDArray[Any]) -> Array:
     if source.row is None:
         if values.size != max(values.shape, default=0):
             line = f'{source.quantity.column} = {{ variable = "{source.column}", row = 1 }}'
-            allowed = f"a vector; [log] of the machine file says which row: {line}"
+            allowed = f"a vector; [log] (machine file, --log) says which row: {line}"
             raise InputError(path, where, f"array of shape {values.shape}", allowed)
         return values.reshape(-1)
     if values.ndim != 2:
@@ -210,7 +210,7 @@ def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int],
     seen = f"jumps by {steps[first]:.6g}" + (f", {count} such jumps" if count > 1 else "")
     scale = "" if source.scale == 1.0 else f", scale = {source.scale:.10g}"
     line = f'{column} = {{ variable = "{source.column}", unit = "{source.unit}"{scale}, wrap = {period:.10g} }}'
-    allowed = f"a position that goes on; where it starts over [log] of the machine file says so: {line}"
+    allowed = f"a position that goes on; where it starts over [log] (machine file, --log) says so: {line}"
     raise InputError(path, f"{row(int(good[first + 1]))}, column {source.column}", seen, f"{allowed}, as --wrap")
 
 

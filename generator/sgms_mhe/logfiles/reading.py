@@ -204,7 +204,7 @@ def check_kind(source: str | Path, kind: Kind, columns: Iterable[str], machine: 
         return
     needed = ", ".join(quantity.column for quantity in QUANTITIES[wanted] if quantity.role in REQUIRED)
     allowed = (
-        f"columns of a {wanted} axis, as {machine.name} is ([plant] kind); [log] of the machine file maps {needed}"
+        f"columns of a {wanted} axis, as {machine.name} is ([plant] kind); [log] (machine file, --log) maps {needed}"
     )
     raise InputError(source, "columns", f"{', '.join(columns)} of a {kind} axis", allowed)
 

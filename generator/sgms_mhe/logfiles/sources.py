@@ -173,7 +173,7 @@ def _kind(path: Path, table: Table, mapping: LogMapping | None, preferred: Kind 
     found = _kinds(table, mapping, sure=True) or _kinds(table, mapping, sure=False)
     if len(found) == 2 and preferred is None:
         which = " or ".join(_position_line(table, kind) for kind in found)
-        allowed = f"columns of one kind of axis; [log] of the machine file says which: {which}"
+        allowed = f"columns of one kind of axis; [log] (machine file, --log) says which: {which}"
         raise InputError(path, "columns", _shown(table), allowed)
     if not found and preferred is None:
         found = _kinds_by_units(table)
@@ -231,7 +231,7 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
             names = ", ".join(candidate.name for candidate in found)
             said = normal_unit(bare.unit) if bare is not None and bare.unit is not None else ""
             line = _line(quantity, found[0].name, said or _stated_unit(found[0], quantity))
-            allowed = f"one column; [log] of the machine file says which: {line}"
+            allowed = f"one column; [log] (machine file, --log) says which: {line}"
             raise InputError(path, f"column {quantity.column}", found[0].header if _same(found) else names, allowed)
         if not found:
             if named is None:
@@ -271,9 +271,10 @@ def _missing(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | N
         is_one = len(named) == 1
         there = f"{named[0].name} is there" if is_one else f"{', '.join(c.name for c in named[:SHOWN])} are there"
         says = "says" if is_one else "says which"
-        hint = f"{there} {seen}; [log] of the machine file {says}: {_line(quantity, named[0].name)}"
+        hint = f"{there} {seen}; [log] (machine file, --log) {says}: {_line(quantity, named[0].name)}"
+        hint += f"; or --unit {quantity.role}=UNIT" if is_one and not stated else ""
     else:
-        hint = f"[log] of the machine file says where it is: {_line(quantity, '...')}"
+        hint = f"[log] (machine file, --log) says where it is: {_line(quantity, '...')}"
         hint += "; where there is none it has rate = ... [Hz], as --rate" if quantity.role == "time" else ""
     allowed = f"missing: a column {wanted}; the file has {_shown(table)}. {hint}"
     return InputError(path, f"column {quantity.column}", None, allowed)
@@ -318,7 +319,7 @@ def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Sourc
         beside = normal_unit(column.unit if column.unit not in ("", "-") else beside)
         if beside not in ("", "-", quantity.unit):
             line = _line(quantity, column.name, beside if beside in quantity.allowed else quantity.unit)
-            allowed = f"the unit {quantity.unit}, as in its name; which holds? [log] of the machine file says: {line}"
+            allowed = f"the unit {quantity.unit}, as in its name; which holds? [log] (machine file, --log) says: {line}"
             raise InputError(path, f"column {column.name}, unit", beside, allowed)
         return Source(quantity, column.name, quantity.unit, "its name")
     factor, stated = _find_unit(column, quantity)
@@ -333,9 +334,11 @@ def _check_unit(path: Path, quantity: Quantity, column: Column, unit: str) -> st
     if unit in COUNTS and unit in quantity.allowed:
         per = "revolution" if quantity.unit.startswith("rad") else "metre"
         line = _line(quantity, column.name, unit)
-        raise InputError(path, where, unit, f"how many make a {per}; [log] of the machine file says: {line}")
+        raise InputError(path, where, unit, f"how many make a {per}; [log] (machine file, --log) says: {line}")
     if unit in quantity.recorded:
         line = _line(quantity, column.name, unit)
-        raise InputError(path, where, unit, f"{quantity.unit} per {unit}; [log] of the machine file says: {line}")
-    allowed = f"one of {', '.join(quantity.allowed)}; [log] of the machine file says: {_line(quantity, column.name)}"
+        flag = "; or --force-scale" if quantity.role == "force" else ""
+        allowed = f"{quantity.unit} per {unit}; [log] (machine file, --log) says: {line}{flag}"
+        raise InputError(path, where, unit, allowed)
+    allowed = f"one of {', '.join(quantity.allowed)}; [log] (machine file, --log) says: {_line(quantity, column.name)}"
     raise InputError(path, where, unit, allowed)

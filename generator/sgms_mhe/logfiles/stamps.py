@@ -88,7 +88,7 @@ class Stamps:
             except ValueError as error:
                 raise ValueError(k, str(error)) from None
         if order is None and len(self._days) > 1:
-            allowed = 'day or month first? [log] of the machine file has dates = "dmy" or dates = "mdy"'
+            allowed = 'day or month first? [log] (machine file, --log) has dates = "dmy" or dates = "mdy"'
             raise ValueError(0, allowed)
         start = _nanoseconds(self._first[1], order, self._days)
         since = np.array([np.nan if value is None else (value - start) / 1e9 for value in nanoseconds])

@@ -208,6 +208,6 @@ def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], tol
 
 
 _MARKS = {
-    ".": ("point", '; [log] of the machine file has decimal = "," for a comma'),
-    ",": ("comma", '; [log] of the machine file has decimal = "." for a point'),
+    ".": ("point", '; [log] (machine file, --log) has decimal = "," for a comma'),
+    ",": ("comma", '; [log] (machine file, --log) has decimal = "." for a point'),
 }

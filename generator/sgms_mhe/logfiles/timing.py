@@ -103,6 +103,6 @@ def check_steps(path: Path, time: Array, step: float, row: Callable[[int], str])
     first = int(np.argmax(uneven))
     allowed = (
         f"uniform time within 1 %: a step of {step:.9g} s, not {steps[first]:.9g} s "
-        "(a missing sample keeps its row, with NaN; [log] of the machine file has resample = true for uneven time)"
+        "(a missing sample keeps its row, with NaN; [log] (machine file, --log) has resample = true for uneven time)"
     )
     raise InputError(path, f"{row(first + 1)}, column time_s", float(time[first + 1]), allowed)

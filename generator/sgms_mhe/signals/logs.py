@@ -108,7 +108,7 @@ def check_rate(log: Log, machine: Machine) -> None:
     allowed = f"sampling.rate of {machine.name}, {rate:g} Hz"
     unit = next((unit for unit, factor in _CLOCKS.items() if abs(log.rate / factor - rate) <= JITTER * rate), None)
     if unit is not None:
-        allowed += f'; time in {unit}? [log] of the machine file has time_s = {{ variable = "...", unit = "{unit}" }}'
+        allowed += f'; time in {unit}? [log] (machine file, --log) has time_s = {{ variable = "...", unit = "{unit}" }}'
     raise InputError(log.source or "log", "time_s", f"{log.rate:.6g} Hz", allowed)
 
 
