@@ -38,6 +38,8 @@ class Arm:
         gravity: torque at a quarter turn from hanging.
         zero: angle of the encoder where it hangs.
         spring: torque per angle about 0.3 rad.
+    held: constant torque, as of a weight on a rope.
+    asymmetry: what the level has more forth, and less back, over it.
         load: friction over the torque at the mesh.
         share: of inertial torque and friction that the mesh carries beside the load.
         rise: friction added towards low speed, over it.
@@ -50,6 +52,8 @@ class Arm:
     gravity: float = 8.0
     zero: float = 0.0
     spring: float = 0.0
+    held: float = 0.0
+    asymmetry: float = 0.0
     load: float = 0.0
     share: float = 0.0
     rise: float = 0.0
@@ -74,13 +78,14 @@ class Arm:
                 way, turn = -way, (turn + (way < 0.0)) % len(speeds)
             if k % SUBSTEPS == 0:
                 n = k // SUBSTEPS
-                carried = self.gravity * math.sin(q - self.zero) + self.spring * (q - 0.3)
+                carried = self.gravity * math.sin(q - self.zero) + self.spring * (q - 0.3) + self.held
                 torque = 400.0 * (reference - q) + 20.0 * (pace - w) + carried
                 position[n] = round(q / self.step) * self.step
                 drive[n] = torque + 0.02 * random.standard_normal()
-            outside = self.gravity * math.sin(q - self.zero) + self.spring * (q - 0.3)
+            outside = self.gravity * math.sin(q - self.zero) + self.spring * (q - 0.3) + self.held
             shape = 1.0 + self.rise * math.exp(-((w / self.slow) ** 2))
-            level = self.level * shape + self.load * abs(outside + self.share * (torque - outside))
+            level = self.level * shape * (1.0 + self.asymmetry * math.copysign(1.0, w))
+            level += self.load * abs(outside + self.share * (torque - outside))
             friction = self.viscous * w
             for i, (share, stiffness) in enumerate(((0.4, 200.0), (0.6, 75.0))):
                 force[i] = min(
@@ -192,6 +197,29 @@ def test_below_a_quarter_turn_gravity_is_ambiguous(reach: float, told: bool, tmp
     assert told or ("position_spring" in sentences[0] and "travel over a turn" in sentences[0])
     assert ("ambiguous: or position_spring" in (tmp_path / "arm.toml").read_text()) == (not told)
     assert '[[effects]]\nname = "unbalance"' in (tmp_path / "arm.toml").read_text()
+
+
+# --- forces that keep their direction -----------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arm", "name", "truth"),
+    [
+        (Arm(gravity=0.0, held=5.0), "constant_offset.force_N", 5.0),
+        (Arm(gravity=0.0, held=-0.4), "constant_offset.force_N", -0.4),
+        (Arm(gravity=0.0, asymmetry=0.3), "asymmetric_coulomb.ratio", 0.3),
+        (Arm(asymmetry=-0.3, size=20.0), "asymmetric_coulomb.ratio", -0.3),
+    ],
+    ids=["weight", "cable", "level", "level and gravity"],
+)
+def test_an_offset_and_a_level_of_each_direction_are_told_apart(arm: Arm, name: str, truth: float) -> None:
+    """A spring that is none is no rival of either: its limit is an offset, and the travel would show it."""
+    found = identify([arm.log(1)], Wanted("arm", elements=2))
+    within(found, name, arm.size * truth if name.endswith("_N") else truth)
+    others = {"constant_offset", "asymmetric_coulomb", "position_spring"} - {name.split(".")[0]}
+    assert not others & {number.name.split(".")[0] for number in found.numbers}
+    assert not any("ambiguous" in sentence for sentence in found.limits)
 
 
 # --- springs that may be none -------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.identification.companions import add_companions, bend, best_trials, fit_level_terms
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.fits import (
     AxisFit,
@@ -36,18 +37,13 @@ from sgms_mhe.identification.spectrum import LARGEST
 from sgms_mhe.identification.terms import (
     LAW_AND_SAMPLING,
     LEVEL_OF_RECORD,
-    OF_RECORD,
     Term,
     effect_parameters,
     is_level,
     is_within_limits,
-    level_terms,
-    place_curve,
-    transmitted_force,
 )
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import effect_definition, separating_moves
-from sgms_mhe.model.effects.search import Harmonic
+from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
@@ -131,7 +127,7 @@ def make_final_fit(
         report: called with each step.
     """
     report("what stands beside the elements")
-    fit, rivals = _add_companions(views, found.quickest, base, companions, excited)
+    fit, rivals = add_companions(views, found.quickest, base, companions, excited)
     fit = _test_level_rise(views, _test_rise(views, fit))
     fit = _test_curves(views, fit, [term for term in curves if term.name in excited])
     report("numbers at the full rate")
@@ -200,7 +196,7 @@ def _fit_finely(views: Views, fit: AxisFit, law: Law) -> AxisFit:
 
 def _renew_levels(views: Views, fit: AxisFit) -> tuple[Term, ...]:
     """The terms of a fit, those of the level along what it transmits, or along its elements."""
-    terms = (*_level_terms(views.fine.rows, fit), *fit_record_terms(views, fit))
+    terms = (*fit_level_terms(views.fine.rows, fit), *fit_record_terms(views, fit))
     renewed = {(term.name, *term.given.values()): term for term in terms}
     return tuple(
         replace(term, columns=renewed[term.name, *term.given.values()].columns[:, : term.columns.shape[1]])
@@ -208,33 +204,6 @@ def _renew_levels(views: Views, fit: AxisFit) -> tuple[Term, ...]:
         else term
         for term in fit.terms
     )
-
-
-def _level_terms(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
-    """Effects of the level of a fit, with all trials of what they are not linear in."""
-    moved = rows.machine.plant.moved + float(fit.coefficient("mass").sum())
-    level = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if is_level(t))
-    viscous = fit.jacobian[:, fit.place("viscous")] @ fit.coefficient("viscous")
-    return level_terms(
-        rows,
-        transmitted_force(rows, fit.terms, fit.coefficients),
-        fit.sliding(rows.velocity),
-        fit.shape.rise,
-        (fit.elements @ fit.levels + viscous + level, moved),
-    )
-
-
-def _best_trials(view: RecordView, fit: AxisFit, trials: Sequence[Term]) -> tuple[Term, ...]:
-    """Of the trials of each effect the first, and beside it the one that explains most where it explains more."""
-    found: dict[str, list[Term]] = {}
-    for term in trials:
-        found.setdefault(term.name, []).append(term)
-    best: list[Term] = []
-    for terms in found.values():
-        looks = [fit_axis(view, (*fit.terms, term), fit.shape, iterations=0) for term in terms]
-        most = min(range(len(terms)), key=lambda k: looks[k].cross_rms)
-        best += [terms[0]] if not is_better(looks[most], looks[0]) else [terms[most]]
-    return tuple(best)
 
 
 def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
@@ -278,105 +247,9 @@ def drop_idle_springs(views: Views, fit: AxisFit) -> AxisFit:
             continue
         terms = tuple(other for other in fit.terms if other is not term)
         without = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
-        if _bend(views.fine, fit) > 1.0 or not is_better(fit, without):
+        if bend(views.fine, fit) > 1.0 or not is_better(fit, without):
             fit = without
     return fit
-
-
-def _bend(view: RecordView, fit: AxisFit) -> float:
-    """Return what a force over the place has beside a straight line, over the size of a fit's spring.
-
-    0 where there is no spring, or the place shows nothing but a straight line. Beyond 1 the spring is a part of it.
-    """
-    springs = [term for term in fit.terms if term.name not in LAW_AND_SAMPLING and effect_definition(term.name).elastic]
-    if not springs:
-        return 0.0
-    curve = place_curve(view.rows)
-    bent = fit_axis(view, (*fit.terms, curve), fit.shape, iterations=0)
-    spring, beside = (
-        float(np.std(np.sum([term.columns @ bent.coefficient(term.name) for term in terms], axis=0)[view.rows.used]))
-        for terms in (springs, [curve])
-    )
-    return beside / max(spring, np.finfo(float).tiny) if is_better(bent, fit) else 0.0
-
-
-def _add_companions(
-    views: Views, whole: AxisFit, base: Sequence[Term], companions: Sequence[Term], excited: Collection[str]
-) -> tuple[AxisFit, dict[str, tuple[str, ...]]]:
-    """The fit with the effects that it gains by, the best first; of two that gain as much the one of fewer sizes.
-
-    Every one begins from the shape of the fit with all of them: elements that had to stand for gravity are none to
-    begin from. An effect that the motion does not excite counts beside a simpler one that it does: over a short way it
-    may be either.
-
-    Returns:
-        The fit, and by the names of effects in it those that explain the records as well, or that the motion does not
-        tell from it.
-    """
-    left = [term for term in companions if term.name in excited or _has_limit(term.name, excited)]
-    left = sorted(left, key=lambda term: term.columns.shape[1])
-    left += fit_record_terms(views, whole)
-    lined, base = align(views, whole), [term for term in base if term.name not in OF_RECORD]
-    fit = fit_axis(lined, base, whole.shape, iterations=CHOICE_ITERATIONS)
-    rivals: dict[str, tuple[str, ...]] = {}
-    source = whole
-    while True:
-        level = [term for term in _level_terms(views.fine.rows, source) if term.name in excited]
-        level = [term for term in level if not fit.place(term.name).stop]
-        level = list(_best_trials(lined, fit, level))
-        tried = {
-            term.name: fit_axis(lined, (*fit.terms, term), whole.shape, iterations=CHOICE_ITERATIONS)
-            for term in (*level, *left)
-        }
-        better = [name for name, other in tried.items() if is_better(other, fit) and _is_statable(other)]
-        bends = {name: _bend(lined, tried[name]) for name in better}
-        better = [name for name in better if bends[name] <= 1.0]
-        log_decision(
-            "companions",
-            "effect beside the elements that leaves clearly less on unseen rows",
-            residual_N=fit.cross_rms,
-            residual_with_N={name: other.cross_rms for name, other in tried.items()},
-            gains=better,
-        )
-        if not better:
-            break
-        best = better[0]
-        for name in better[1:]:
-            if is_better(tried[name], tried[best]):
-                best = name
-        fit = source = tried[best]
-        left = [term for term in left if term.name != best]
-        if best in OF_RECORD:
-            continue
-        rivals[best] = tuple(
-            other
-            for other in better
-            if other not in (best, *OF_RECORD) and separating_moves(best, other) and not is_better(fit, tried[other])
-        )
-        if effect_definition(best).elastic and bends[best] > 0.0:
-            rivals[best] += _ripples(best)
-        if best not in excited:
-            limits = [name for name in effect_definition(best).simpler.causes if name in tried]
-            rivals[best] = (min(limits, key=lambda name: tried[name].cross_rms),) if limits else rivals[best]
-    return fit_aligned(views, fit.terms, fit.shape, rounds=1), {a: b for a, b in rivals.items() if b}
-
-
-def _ripples(name: str) -> tuple[str, ...]:
-    """The sines over the position that an effect is confused with."""
-    searches = {other: effect_definition(other).search for other in effect_definition(name).confused_with}
-    return tuple(
-        other for other, search in searches.items() if isinstance(search, Harmonic) and search.coordinate == "position"
-    )
-
-
-def _is_statable(fit: AxisFit) -> bool:
-    """Return True if no effect of a fit is beyond what a machine file may state: then it stands for something else."""
-    return all(is_within_limits(term, fit.coefficient(term.name)) for term in fit.terms)
-
-
-def _has_limit(name: str, excited: Collection[str]) -> bool:
-    """Return True if one of an effect's simpler limits is among those that the motion excites."""
-    return any(limit in excited for limit in effect_definition(name).simpler.causes)
 
 
 def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
@@ -455,9 +328,9 @@ def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
     for _ in range(RENEWALS):
         beside = tuple(term for term in fit.terms if not is_level(term))
         names = {term.name for term in fit.terms if is_level(term)}
-        trials = [term for term in _level_terms(views.fine.rows, fit) if term.name in names]
+        trials = [term for term in fit_level_terms(views.fine.rows, fit) if term.name in names]
         bare = replace(fit, terms=beside)
-        terms = (*beside, *_best_trials(lined, bare, trials))
+        terms = (*beside, *best_trials(lined, bare, trials))
         before, given = fit.cross_rms, [term.given for term in fit.terms if is_level(term)]
         fit = fit_axis(lined, terms, fit.shape, iterations=CHOICE_ITERATIONS)
         same = given == [term.given for term in terms if is_level(term)]

@@ -35,6 +35,7 @@ from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid
 from sgms_mhe.identification.terms import (
     LEVEL_OF_RECORD,
     Term,
+    companion_names,
     companion_terms,
     curve_terms,
     level_terms,
@@ -195,7 +196,7 @@ def _explore_records(records: Records, wanted: Wanted, known: Known, report: Pro
     if not found.fit.coulomb > 0.0:
         raise frictionless_error(records.names[0])
     measured = _measure(records, found)
-    names = dict.fromkeys(term.name for term in (*companions, *level, *curves))
+    names = dict.fromkeys((*companion_names(rows), *(term.name for term in curves)))
     excited = [name for name in names if _is_excited(effect_definition(name), measured)]
     final = make_final_fit(views, found, base, companions, curves, excited, known, report)
     check_slides(views.fine, final, excited, records.names[0])

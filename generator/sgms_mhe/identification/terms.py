@@ -127,6 +127,26 @@ def place_curve(rows: Recording) -> Term:
     return Term(PLACE, curves[:, BENDS])
 
 
+@dataclass(frozen=True, eq=False)
+class KnownFriction:
+    """Friction of a fit, and what it carries.
+
+    Attributes:
+        friction: all of it (m) [N].
+        elements: the share of the elements (m) [N].
+        inertia: kg, kg m^2.
+    """
+
+    friction: Array
+    elements: Array
+    inertia: float
+
+
+def companion_names(rows: Recording) -> tuple[str, ...]:
+    """Return the names of all effects that are looked for beside friction, those of its level too."""
+    return tuple(definition.name for definition, _ in _companions(rows))
+
+
 def companion_terms(rows: Recording) -> tuple[Term, ...]:
     """Effects that are looked for beside friction from the first, as they say themselves; free in sign."""
     motion = _motion(rows, rows.force, rows.velocity)
@@ -142,24 +162,30 @@ def level_terms(
     transmitted: Array,
     sliding: Array,
     rise: Stribeck | None,
-    known: tuple[Array, float] | None = None,
+    known: KnownFriction | None = None,
 ) -> tuple[Term, ...]:
     """Effects that are looked for in the level of friction: what it grows with is known once load and mass are.
+
+    One that is linear in its size changes the force that the elements have, which a fit of them tells.
 
     Args:
         rows: of the records.
         transmitted: torque that the drive transmits (m) [N m].
         sliding: force of the elements over the level that they slip at now, -1 to 1 (m).
         rise: of the level towards low speed, in which they share; None: none.
-        known: all friction (m) [N m] and the inertia [kg m^2], for trials of what an effect's columns are not linear
-            in; None: its first trial alone.
+        known: of a fit, for effects that are linear, and for trials of what an effect's columns are not linear in;
+            None: of the others the first trial alone.
     """
     motion, terms = _motion(rows, transmitted, sliding), []
     if known is not None:
-        friction, inertia = known
-        motion = replace(motion, force=transmitted + friction, level=friction, mass=inertia)
+        own = replace(motion, velocity=rows.velocity, level=known.elements)
+        force = transmitted + known.friction
+        motion = replace(motion, force=force, level=known.friction, mass=known.inertia)
     for definition, search in _companions(rows):
         if definition.stage != "level":
+            continue
+        if definition.linear:
+            terms += [Term(definition.name, search.columns(own, {}))] if known is not None else []
             continue
         for given in search.variants(motion) if known is not None else ({},):
             columns = np.abs(sliding)[:, None] * search.columns(motion, given)

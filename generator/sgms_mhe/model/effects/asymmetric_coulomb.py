@@ -34,5 +34,6 @@ DEFINITION = EffectDefinition(
     search=Columns(lambda m, _: (m.level * direction(m.velocity))[:, None], one_size("ratio"), exact="ratio"),
     linear=True,
     stage="level",
+    companion=True,
     specimen=one_number("ratio", lambda _: 1.0, concealed=Concealed("one_way", lambda _: {"ratio": 0.2})),
 )

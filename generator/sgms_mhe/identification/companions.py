@@ -1,0 +1,167 @@
+"""Choice of the effects that stand beside the elements, by the gain on held-out samples."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from sgms_mhe.identification.fits import AxisFit, RecordView, fit_axis
+from sgms_mhe.identification.record_numbers import fit_record_terms
+from sgms_mhe.identification.search import CHOICE_ITERATIONS, Views, align, fit_aligned, is_better
+from sgms_mhe.identification.terms import (
+    LAW_AND_SAMPLING,
+    OF_RECORD,
+    KnownFriction,
+    Term,
+    is_level,
+    is_within_limits,
+    level_terms,
+    place_curve,
+    transmitted_force,
+)
+from sgms_mhe.model.effects import effect_definition, separating_moves
+from sgms_mhe.model.effects.search import Harmonic
+from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.decisions import log_decision
+
+
+def add_companions(
+    views: Views, whole: AxisFit, base: Sequence[Term], companions: Sequence[Term], excited: Collection[str]
+) -> tuple[AxisFit, dict[str, tuple[str, ...]]]:
+    """Return the fit with the effects that it gains by, the best first; of two that gain alike that of fewer sizes.
+
+    An effect that has the best one as a limit, and would show itself in the motion, is no rival where it gains no more.
+
+    Every one begins from the shape of the fit with all of them: elements that had to stand for gravity are none to
+    begin from. An effect that the motion does not excite counts beside a simpler one that it does: over a short way it
+    may be either.
+
+    Returns:
+        The fit, and by the names of effects in it those that explain the records as well, or that the motion does not
+        tell from it.
+    """
+    left = [term for term in companions if term.name in excited or _has_limit(term.name, excited)]
+    left += fit_record_terms(views, whole)
+    lined, base = align(views, whole), [term for term in base if term.name not in OF_RECORD]
+    fit = fit_axis(lined, base, whole.shape, iterations=CHOICE_ITERATIONS)
+    rivals: dict[str, tuple[str, ...]] = {}
+    source = whole
+    while True:
+        level = [term for term in fit_level_terms(views.fine.rows, source) if term.name in excited]
+        level = [term for term in level if not fit.place(term.name).stop]
+        level = list(best_trials(lined, fit, level))
+        tried = {
+            term.name: fit_axis(lined, (*fit.terms, term), whole.shape, iterations=CHOICE_ITERATIONS)
+            for term in sorted((*left, *level), key=lambda term: term.columns.shape[1])
+        }
+        better = [name for name, other in tried.items() if is_better(other, fit) and _is_statable(other)]
+        bends = {name: bend(lined, tried[name]) for name in better}
+        better = [name for name in better if bends[name] <= 1.0]
+        log_decision(
+            "companions",
+            "effect beside the elements that leaves clearly less on unseen rows",
+            residual_N=fit.cross_rms,
+            residual_with_N={name: other.cross_rms for name, other in tried.items()},
+            gains=better,
+        )
+        if not better:
+            break
+        best = better[0]
+        for name in better[1:]:
+            if is_better(tried[name], tried[best]):
+                best = name
+        fit = source = _drop_replaced(lined, tried[best], best)
+        left = [term for term in left if term.name != best]
+        if best in OF_RECORD:
+            continue
+        rivals[best] = tuple(
+            other
+            for other in better
+            if other not in (best, *OF_RECORD)
+            and separating_moves(best, other)
+            and not is_better(fit, tried[other])
+            and not (other in excited and best in effect_definition(other).simpler.causes)
+        )
+        if effect_definition(best).elastic and bends[best] > 0.0:
+            rivals[best] += _ripples(best)
+        if best not in excited:
+            limits = [name for name in effect_definition(best).simpler.causes if name in tried]
+            rivals[best] = (min(limits, key=lambda name: tried[name].cross_rms),) if limits else rivals[best]
+    rivals = {name: others for name, others in rivals.items() if others and fit.place(name).stop}
+    return fit_aligned(views, fit.terms, fit.shape, rounds=1), rivals
+
+
+def bend(view: RecordView, fit: AxisFit) -> float:
+    """Return what a force over the place has beside a straight line, over the size of a fit's spring.
+
+    0 where there is no spring, or the place shows nothing but a straight line. Beyond 1 the spring is a part of it.
+    """
+    springs = [term for term in fit.terms if term.name not in LAW_AND_SAMPLING and effect_definition(term.name).elastic]
+    if not springs:
+        return 0.0
+    curve = place_curve(view.rows)
+    bent = fit_axis(view, (*fit.terms, curve), fit.shape, iterations=0)
+    spring, beside = (
+        float(np.std(np.sum([term.columns @ bent.coefficient(term.name) for term in terms], axis=0)[view.rows.used]))
+        for terms in (springs, [curve])
+    )
+    return beside / max(spring, np.finfo(float).tiny) if is_better(bent, fit) else 0.0
+
+
+def _drop_replaced(view: RecordView, fit: AxisFit, newest: str) -> AxisFit:
+    """The fit without the effects that leave no less beside the newest: they stood for it."""
+    for term in fit.terms:
+        if term.name in (newest, *LAW_AND_SAMPLING):
+            continue
+        terms = [other for other in fit.terms if other is not term]
+        without = fit_axis(view, terms, fit.shape, iterations=CHOICE_ITERATIONS)
+        if not is_better(fit, without):
+            fit = without
+    return fit
+
+
+def _ripples(name: str) -> tuple[str, ...]:
+    """The sines over the position that an effect is confused with."""
+    searches = {other: effect_definition(other).search for other in effect_definition(name).confused_with}
+    return tuple(
+        other for other, search in searches.items() if isinstance(search, Harmonic) and search.coordinate == "position"
+    )
+
+
+def _is_statable(fit: AxisFit) -> bool:
+    """Return True if no effect of a fit is beyond what a machine file may state: then it stands for something else."""
+    return all(is_within_limits(term, fit.coefficient(term.name)) for term in fit.terms)
+
+
+def _has_limit(name: str, excited: Collection[str]) -> bool:
+    """Return True if one of an effect's simpler limits is among those that the motion excites."""
+    return any(limit in excited for limit in effect_definition(name).simpler.causes)
+
+
+def fit_level_terms(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
+    """Return the effects of the level of a fit, with all trials of what they are not linear in."""
+    moved = rows.machine.plant.moved + float(fit.coefficient("mass").sum())
+    level = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if is_level(t))
+    viscous = fit.jacobian[:, fit.place("viscous")] @ fit.coefficient("viscous")
+    elements = fit.elements @ fit.levels
+    return level_terms(
+        rows,
+        transmitted_force(rows, fit.terms, fit.coefficients),
+        fit.sliding(rows.velocity),
+        fit.shape.rise,
+        KnownFriction(elements + viscous + level, elements, moved),
+    )
+
+
+def best_trials(view: RecordView, fit: AxisFit, trials: Sequence[Term]) -> tuple[Term, ...]:
+    """Of the trials of each effect the first, and beside it the one that explains most where it explains more."""
+    found: dict[str, list[Term]] = {}
+    for term in trials:
+        found.setdefault(term.name, []).append(term)
+    best: list[Term] = []
+    for terms in found.values():
+        looks = [fit_axis(view, (*fit.terms, term), fit.shape, iterations=0) for term in terms]
+        most = min(range(len(terms)), key=lambda k: looks[k].cross_rms)
+        best += [terms[0]] if not is_better(looks[most], looks[0]) else [terms[most]]
+    return tuple(best)
