@@ -24,6 +24,8 @@ CLOSE_ALONE: Final = 1.2
 """The same of a block that has a weight of its own: errors of an encoder alone leave more in one of a hundred."""
 REPAIRS: Final = 12
 """Times that blocks which are too far from their readings, and those beside them, get a tenth of the weight."""
+FREE: Final = 100.0
+"""Largest error of a reading beyond the ends [its noise]: of none at all the equations are singular."""
 ELSEWHERE: Final = 0.25
 """Steps between an encoder's lines and where they might be as well."""
 ENCODERS: Final = 4
@@ -164,11 +166,15 @@ def thin_path(way: Array) -> tuple[Array, Array]:
 def _extend(position: Array, noise: float, course: Array | None) -> tuple[Array, Array]:
     """Return readings (n + 2 BLOCK) [noise] that go on at both ends as they came, and their errors [noise].
 
-    A way that ends with its readings is free there to bend by more than a step, which elements take for a force.
+    A way that ends with its readings is free there to bend by more than a step, which elements take for a force. One
+    that makes more than a measurement's noise a sample bends by less anyway, and is not held back where it speeds up.
     """
     readings = np.pad((position - position[0]) / noise, BLOCK, mode="reflect", reflect_type="odd")
     larger = np.ones(len(position)) if course is None else np.maximum(1.0, course / noise)
-    return readings, np.pad(larger, BLOCK, mode="reflect")
+    errors = np.pad(larger, BLOCK, mode="reflect")
+    for outside, edge in ((slice(BLOCK), BLOCK), (slice(-BLOCK, None), -BLOCK - 1)):
+        errors[outside] += np.clip(np.abs(readings[outside] - readings[edge]) - BLOCK, 0.0, FREE)
+    return readings, errors
 
 
 def _graduate(readings: Array, weight: float | Array, noise: Array) -> Array:
