@@ -110,7 +110,7 @@ def test_needs_the_estimator_and_nothing_else(folder: Path, require_tool: Tool, 
     run(require_tool("gcc"), STRICT, "-O2", "-ffreestanding", "-c", folder / "etel_xy_selftest.c", "-o", made)
     found = symbols(made)
     calls = "init init_with settings tick sample insert ahead compensate share due feedback prepare estimate"
-    calls += " save load set_mass hold set_parameter reset check"
+    calls += " save load set_mass hold set_parameter reset check status_text"
     needed = {f"etel_xy_{name}" for name in calls.split()}
     assert {name for kind, name in found if kind == "U"} <= needed | {"memcpy", "memset", "__stack_chk_fail"}
     exported = {name for kind, name in found if kind.isupper() and kind != "U"}
