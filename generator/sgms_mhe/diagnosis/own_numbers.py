@@ -18,7 +18,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class OwnNumbers:
-    """What belongs to each log: an offset; and, about the mean of all, the base model's numbers of a record.
+    """Numbers of each log: an offset; and, about the mean of all, the base model's numbers of a record.
 
     Attributes:
         columns: derivatives of the friction in them (m, q).

@@ -88,8 +88,7 @@ def add_companions(
         if best not in excited:
             limits = [name for name in effect_definition(best).simpler.causes if name in tried]
             rivals[best] = (min(limits, key=lambda name: tried[name].cross_rms),) if limits else rivals[best]
-    rivals = {name: others for name, others in rivals.items() if others and fit.place(name).stop}
-    return fit_aligned(views, fit.terms, fit.shape, rounds=1), rivals
+    return fit_aligned(views, fit.terms, fit.shape, rounds=1), {a: b for a, b in rivals.items() if b}
 
 
 def bend(view: RecordView, fit: AxisFit) -> float:

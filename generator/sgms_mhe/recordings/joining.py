@@ -28,7 +28,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         recordings = [r if r.noise is not None else _add_no_steps(r) for r in recordings]
     offsets = np.cumsum([0, *(r.blocks for r in recordings)])
 
-    def joined(name: str) -> Any:
+    def join(name: str) -> Any:
         parts = [getattr(r, name) for r in recordings]
         return None if any(part is None for part in parts) else np.concatenate(parts)
 
@@ -38,7 +38,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         if isinstance(value, np.ndarray)
     }
     names = ("clock", "time", "position", "velocity", "acceleration", "force", "friction", "used", "fold", "held_out")
-    arrays: dict[str, Any] = {name: joined(name) for name in (*names, "noise", "unfiltered", "misread")}
+    arrays: dict[str, Any] = {name: join(name) for name in (*names, "noise", "unfiltered", "misread")}
     blocks = [np.where(r.block >= 0, r.block + k, -1) for r, k in zip(recordings, offsets[:-1], strict=True)]
     return replace(
         first,
