@@ -10,14 +10,14 @@ import pytest
 from scipy.signal import lfilter
 
 from sgms_bench.diagnosis.motions import draw_motion
-from sgms_mhe.configuration import load_machine
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis.causes import measure_causes
 from sgms_mhe.diagnosis.final_fit import make_final_fit
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import make_laws
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.rivals import Selection
-from sgms_mhe.diagnosis.uncertainty import covariance
+from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.recordings.evidence import (
@@ -195,3 +195,18 @@ def test_a_number_that_a_bound_stops_has_no_interval() -> None:
     (cause,) = measure_causes(final, final.selection, final.selection.fit).values()
     assert cause.vague == ("delay_s",)
     assert np.isnan(cause.std["delay_s"])
+
+
+def test_intervals_do_not_hang_on_the_size_of_the_files_numbers() -> None:
+    """Of a stiffness far below the file's every slope is large: rows that count were left out."""
+    file = override_machine(load_machine("etel_xy"), {"friction": {"law": "switching"}})
+    motion = draw_motion("loops", file, 4.0, np.random.default_rng(2))
+    log = simulate_axis(file, motion, AxisConfig(force_noise_N=0.1, seed=2)).log
+    stiffness = file.friction.stiffness
+    stated = []
+    for factor in (1.0, 1e5):
+        off = override_machine(file, {"friction": {"stiffness": [factor * stiffness[0], *stiffness[1:]]}})
+        subject = Subject.of(off, prepare(off, log)).start_from({"stiffness_1": stiffness[0]})
+        fit = fit_model(subject, ())
+        stated.append(standard_deviations(covariance(subject, fit), fit))
+    np.testing.assert_allclose(stated[1], stated[0], rtol=0.1)

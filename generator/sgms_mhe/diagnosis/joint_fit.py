@@ -17,6 +17,7 @@ from sgms_mhe.diagnosis.models import FitError, LeastSquares, ModelPoint, Prior
 from sgms_mhe.diagnosis.parametrisation import bounds, step_limit
 from sgms_mhe.diagnosis.record_fit import RecordFit, shift_position
 from sgms_mhe.diagnosis.uncertainty import find_errors
+from sgms_mhe.recordings.evidence import invert_information
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise
 from sgms_mhe.support.parallel import run_parallel
 
@@ -226,9 +227,9 @@ class JointFit:
         information = []
         for one in errors:
             H = one.information
-            beside = np.linalg.pinv(H[np.ix_(own, own)], hermitian=True)
+            beside = invert_information(H[np.ix_(own, own)])
             information.append(H[np.ix_(shared, shared)] - H[np.ix_(shared, own)] @ beside @ H[np.ix_(own, shared)])
-        inverse = np.linalg.pinv(sum(information), hermitian=True) if shared.any() else np.zeros((0, 0))
+        inverse = invert_information(np.sum(information, axis=0))
         weights = [inverse @ one for one in information]
         joint = np.zeros((len(inverse), len(inverse)))
         shifts = np.zeros((len(errors[0].shifts), len(inverse)))

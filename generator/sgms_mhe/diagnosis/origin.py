@@ -35,6 +35,7 @@ from sgms_mhe.recordings.evidence import (
     find_nuisance,
     gain_force,
     gain_interval,
+    invert_information,
     noise_floor,
     robust_covariance,
 )
@@ -343,7 +344,7 @@ def _settle(search: _OriginSearch, origin: float, step: float) -> tuple[float, f
         sampled = find_sampling_columns(near.fit.subject, recording.friction - fit.residual)
         X = np.column_stack((sampled, fit.jacobian[:, free], slope))
         H = X[used].T @ X[used]
-        inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
+        inverse = invert_information(H)
         moves = inverse @ (X[used].T @ fit.residual[used])
         move = float(np.clip(move + moves[-1], -step, step))
     residual = fit.residual - X @ moves

@@ -19,7 +19,7 @@ from sgms_mhe.diagnosis.fits import Fit, Subject, prior_information
 from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.encoder import encoder_noise
-from sgms_mhe.recordings.evidence import TINY, UNSEEN_ERROR, robust_covariance
+from sgms_mhe.recordings.evidence import TINY, UNSEEN_ERROR, invert_information, robust_covariance
 from sgms_mhe.recordings.recording import Recording, Runs
 from sgms_mhe.support.parallel import run_parallel
 
@@ -31,7 +31,7 @@ mass that is shaken by noise takes noise out of the force."""
 HOLD_TIMING: Final = 0.5
 """Samples that a force may be old or young by, on average, where a drive holds it over a sample."""
 FLOOR_SURE: Final = 1.03  # noise floors: what is left beyond is no noise
-RUNAWAY: Final = 10.0  # slope of a number of the machine, over the largest friction
+RUNAWAY: Final = 10.0  # slope over the logarithm of a number of the machine, over the largest friction
 
 
 def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
@@ -112,7 +112,7 @@ def find_errors(subject: Subject, fit: Fit, other: Subject | None = None) -> Num
     """Return the errors of the free numbers of a fit; see `covariance`."""
     recording = subject.recording
     X, H = _inform(subject, fit)
-    inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
+    inverse = invert_information(H)
     wrong = math.sqrt(max(0.0, fit.cross_rms**2 - (FLOOR_SURE * subject.noise) ** 2))
     inner = robust_covariance(recording, X, fit.residual, H, inverse, max(wrong, UNSEEN_ERROR * subject.noise))
     shifts = (
@@ -157,7 +157,7 @@ def correlate(subject: Subject, fit: Fit, covariance: Array) -> Array:
     That of `covariance` has other ones: it states single numbers, each no surer than several errors allow.
     """
     _, H = _inform(subject, fit)
-    inverse = np.linalg.pinv(H, hermitian=True)
+    inverse = invert_information(H)
     unit = np.sqrt(np.maximum(np.diag(inverse), TINY))
     deviations = np.sqrt(np.diag(covariance))[fit.free]
     result = np.zeros_like(covariance)
@@ -192,11 +192,12 @@ def _is_smooth(subject: Subject, fit: Fit, jacobian: Array) -> NDArray[np.bool_]
     """Rows (m) whose slopes (m, n_p) say what a change of the numbers of a fit does.
 
     Where elements let go or a gap opens again and again along a short way, a derivative grows with every time, far
-    beyond what any real change makes. Numbers of the machine are relative: no friction has many times itself for slope.
+    beyond what any real change makes: no friction changes by many times itself where a number of the machine changes by
+    as much as it is. By as much as the file's would be no scale: of a stiffness that is gone each slope is large.
     """
     own = [c.group.kind == "base" for c in fit.model.columns]
     most = RUNAWAY * float(np.max(np.abs(subject.recording.friction[subject.recording.used])))
-    return np.asarray((np.abs(jacobian[:, own]) <= most).all(axis=1))
+    return np.asarray((np.abs(jacobian[:, own] * fit.theta[own]) <= most).all(axis=1))
 
 
 def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:

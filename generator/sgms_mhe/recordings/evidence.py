@@ -322,6 +322,23 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
     return np.asarray(noise + inverse * COHERENT_ROWS * wrong**2)
 
 
+def invert_information(H: Array) -> Array:
+    """Return the inverse (p, p) of an information (p, p), 0 in directions of which nothing is known.
+
+    Each number in units of its own deviation: which directions are known does not depend on the units of numbers.
+    """
+    root = _root_of_inverse(H)
+    return np.asarray(root @ root.T)
+
+
+def _root_of_inverse(H: Array) -> Array:
+    """Return R (p, k) with R R' the inverse of an information (p, p) of rank k."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), TINY))
+    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    known = values > UNKNOWN * values.max(initial=0.0)
+    return np.asarray(scale[:, None] * vectors[:, known] / np.sqrt(values[known]))
+
+
 def stationary_covariance(recording: Recording, X: Array, residual: Array, inverse: Array) -> Array:
     """Covariance (p, p) of numbers fitted by X (m, p), were the residual stationary noise of its own spectrum.
 
@@ -358,9 +375,7 @@ def jackknife_covariance(recording: Recording, X: Array, residual: Array, H: Arr
     already made them small. H (p, p): information of all.
     """
     information, scores, _ = block_moments(recording, X, residual)
-    values, vectors = np.linalg.eigh(H)
-    known = values > UNKNOWN * values.max()
-    root = vectors[:, known] / np.sqrt(values[known])
+    root = _root_of_inverse(H)
     moves = []
     for own, score in zip(information, scores, strict=True):
         share, direction = np.linalg.eigh(root.T @ own @ root)
