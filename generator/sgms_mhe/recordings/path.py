@@ -24,7 +24,7 @@ CLOSE_ALONE: Final = 1.2
 """The same of a block that has a weight of its own: errors of an encoder alone leave more in one of a hundred."""
 REPAIRS: Final = 12
 """Times that blocks which are too far from their readings, and those beside them, get a tenth of the weight."""
-FREE: Final = 100.0
+FREE: Final = 1000.0
 """Largest error of a reading beyond the ends [its noise]: of none at all the equations are singular."""
 ELSEWHERE: Final = 0.25
 """Steps between an encoder's lines and where they might be as well."""
@@ -172,8 +172,9 @@ def _extend(position: Array, noise: float, course: Array | None) -> tuple[Array,
     readings = np.pad((position - position[0]) / noise, BLOCK, mode="reflect", reflect_type="odd")
     larger = np.ones(len(position)) if course is None else np.maximum(1.0, course / noise)
     errors = np.pad(larger, BLOCK, mode="reflect")
-    for outside, edge in ((slice(BLOCK), BLOCK), (slice(-BLOCK, None), -BLOCK - 1)):
-        errors[outside] += np.clip(np.abs(readings[outside] - readings[edge]) - BLOCK, 0.0, FREE)
+    for outwards, edge in ((slice(BLOCK - 1, None, -1), BLOCK), (slice(-BLOCK, None), -BLOCK - 1)):
+        farthest = np.maximum.accumulate(np.abs(readings[outwards] - readings[edge]))
+        errors[outwards] += np.clip(farthest - BLOCK, 0.0, FREE)
     return readings, errors
 
 
