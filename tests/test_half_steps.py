@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine, switch_law
 from sgms_mhe.diagnosis import alignment
-from sgms_mhe.diagnosis.alignment import decimate, find_step_error, halve_steps, is_mean_velocity
+from sgms_mhe.diagnosis.alignment import decimate, find_step_error, halve_steps
 from sgms_mhe.diagnosis.criteria import Criteria, ProgressReport
 from sgms_mhe.diagnosis.final_fit import _time_step
 from sgms_mhe.diagnosis.fits import EffectsError, Subject, fit_model
@@ -24,6 +24,7 @@ from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, make_trajectory
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.chain import Signals
+from sgms_mhe.signals.logs import align_velocity
 
 Array = NDArray[np.float64]
 
@@ -43,11 +44,11 @@ def simulated(machine: Machine, **options: object) -> SimulatedRun:
     return simulate_axis(machine, path, config, **options)  # type: ignore[arg-type]
 
 
-def exact(machine: Machine, run: SimulatedRun, *, mean_velocity: bool) -> Recording:
-    """A recording of what happened: no chain, no noise; its velocity a mean over the sample or a reading."""
+def exact(machine: Machine, run: SimulatedRun) -> Recording:
+    """A recording of what happened: no chain, no noise."""
     truth, step = run.truth, machine.sampling.step
     position = truth.position_m
-    velocity = np.diff(position, prepend=position[0]) / step if mean_velocity else truth.velocity_m_s
+    velocity = np.diff(position, prepend=position[0]) / step
     prepared = prepare(machine, run.log)
     signals = Signals(
         time=truth.time_s,
@@ -66,13 +67,12 @@ def rms(series: Array) -> float:
     return float(np.sqrt(np.mean(series**2)))
 
 
-@pytest.mark.parametrize("mean_velocity", [True, False])
 @pytest.mark.parametrize("law", ["sgms", "switching"])
-def test_what_a_step_gets_wrong_is_known(slow: Machine, law: str, mean_velocity: bool) -> None:
+def test_what_a_step_gets_wrong_is_known(slow: Machine, law: str) -> None:
     """Elements that stick while the axis brakes, and viscous friction: nine tenths of the model's error go."""
     machine = slow if law == "sgms" else switch_law(slow)
     assert machine.friction.law == law
-    recording = exact(machine, simulated(machine), mean_velocity=mean_velocity)
+    recording = exact(machine, simulated(machine))
     subject = Subject.of(machine, recording)
     fit = fit_model(subject, (), refitted=())
     later = find_step_error(subject, fit)
@@ -86,7 +86,7 @@ def test_what_a_step_gets_wrong_is_known(slow: Machine, law: str, mean_velocity:
 
 def test_a_long_record_is_taken_in_parts(slow: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory is bounded, and what comes out is what comes out in one."""
-    recording = exact(slow, simulated(slow), mean_velocity=True)
+    recording = exact(slow, simulated(slow))
     subject = Subject.of(slow, recording)
     fit = fit_model(subject, (), refitted=())
     at_once = find_step_error(subject, fit)
@@ -97,7 +97,7 @@ def test_a_long_record_is_taken_in_parts(slow: Machine, monkeypatch: pytest.Monk
 
 def test_half_steps_end_where_the_samples_do(slow: Machine) -> None:
     run = simulated(slow)
-    recording = exact(slow, run, mean_velocity=True)
+    recording = exact(slow, run)
     halved = halve_steps(recording, slow).signals
     step, signals = slow.sampling.step, recording.signals
     np.testing.assert_array_equal(halved.position[1::2], signals.position)
@@ -112,15 +112,16 @@ def test_half_steps_end_where_the_samples_do(slow: Machine) -> None:
     np.testing.assert_allclose(halved.time[1::2] - halved.time[0::2], 0.5 * step, rtol=1e-6)
 
 
-def test_what_was_travelled_says_what_a_velocity_is(slow: Machine) -> None:
-    """A log may bring its own: a reading of a tachometer, or a difference of positions."""
+def test_a_velocity_at_the_instants_becomes_the_mean_over_the_sample(slow: Machine) -> None:
+    """A log may bring its own: a measurement of a tachometer, or a difference of positions, which stays what it is."""
     run = simulated(slow)
-    log = replace(run.log, velocity_m_s=None, friction_N=None, acceleration_m_s2=None)
-    assert is_mean_velocity(prepare(slow, log))
-    measured = replace(log, velocity_m_s=run.truth.velocity_m_s)
-    assert not is_mean_velocity(prepare(slow, measured))
-    assert not is_mean_velocity(prepare(slow, replace(measured, friction_N=run.truth.friction_N)))
-    assert is_mean_velocity(prepare(slow, run.ideal_log()))
+    truth, step = run.truth, slow.sampling.step
+    travelled = np.diff(truth.position_m) / step
+    for velocity in (truth.velocity_m_s, np.diff(truth.position_m, prepend=truth.position_m[0]) / step):
+        aligned = align_velocity(replace(run.log, position_m=truth.position_m, velocity_m_s=velocity)).velocity_m_s
+        assert aligned is not None
+        assert rms(aligned[1:] - travelled) < 0.02 * rms(truth.velocity_m_s[1:] - travelled)
+    assert np.array_equal(aligned, velocity)
 
 
 def test_any_measurement_rate_can_be_thinned() -> None:

@@ -21,7 +21,6 @@ from sgms_mhe.logfiles.names import is_usual
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import understand
 from sgms_mhe.recordings.recording import prepare
-from sgms_mhe.signals.chain import Chain
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -238,7 +237,7 @@ def test_a_recorded_velocity_makes_the_acceleration_that_a_position_makes(
     velocity = mean if timing == "mean" and has_position else log.velocity_m_s  # integrated: of the instants
     names = ("time_s", "position_rad", "torque_Nm") if has_position else ("time_s", "torque_Nm")
     found, plain = (
-        Chain(machine).take(read_log(write(tmp_path / "log.csv", **columns)))
+        prepare(machine, read_log(write(tmp_path / "log.csv", **columns))).signals
         for columns in ({**own(log, *names), "velocity_rad_s": velocity}, own(log))
     )
     change = np.gradient(plain.acceleration)[200:-200]  # the filters have settled

@@ -38,8 +38,6 @@ SAMPLES_AT_A_TIME: Final = 1_000_000  # samples of a long record; bounds memory
 LEADS: Final = 10  # of a part: it begins as much of it earlier
 MIDDLE: Final = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0]) / 256.0
 """Weights of the six samples about a middle (Lagrange)."""
-SEAM: Final = 1.5
-"""Steps between two samples from which on they are of different pieces of a record."""
 
 
 def decimate(subject: Subject) -> Subject:
@@ -305,12 +303,9 @@ def halve_steps(recording: Recording, machine: Machine) -> Recording:
     (2 n) rows, each second one the sample itself; none counts.
     """
     signals, h = recording.signals, recording.machine.sampling.step
-    if is_mean_velocity(recording):
-        # Along what was travelled: pieces of a record need not meet.
-        way = np.concatenate((np.zeros(1), np.cumsum(signals.velocity) * h))
-        velocity = np.diff(_insert_middles(way)[1:]) * (2.0 / h)
-    else:
-        velocity = _insert_middles(signals.velocity)
+    # Along what was travelled: pieces of a record need not meet.
+    way = np.concatenate((np.zeros(1), np.cumsum(signals.velocity) * h))
+    velocity = np.diff(_insert_middles(way)[1:]) * (2.0 / h)
     middle = signals.position - 0.5 * h * velocity[1::2]
     halved = Signals(
         time=_interleave(signals.time - 0.5 * h, signals.time),
@@ -324,22 +319,6 @@ def halve_steps(recording: Recording, machine: Machine) -> Recording:
         delay=signals.delay,
     )
     return _make_uncounted(machine, halved, _interleave(recording.clock - 0.5 * h, recording.clock), 1)
-
-
-def is_mean_velocity(recording: Recording) -> bool:
-    """Return True if the velocity is that of the step before its sample, as a difference of positions is.
-
-    A log may bring its own, which may as well be a reading: what was travelled says.
-    """
-    signals, h = recording.signals, recording.machine.sampling.step
-    meets = np.abs(np.diff(recording.clock)) < SEAM * h
-    travelled, now = np.diff(signals.position), signals.velocity[1:]
-    between = 0.5 * (signals.velocity[:-1] + now)
-
-    def off(velocity: Array) -> float:
-        return float(np.sum((velocity * h - travelled)[meets] ** 2))
-
-    return off(now) <= off(between)
 
 
 def set_rate(machine: Machine, rate: float) -> Machine:

@@ -11,7 +11,7 @@ from sgms_mhe.evaluation.prediction import predict_signals
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.simple import SimpleAxis, simple_friction
 from sgms_mhe.signals.chain import signals_from_log
-from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.logs import Log, align_velocity
 
 _ALWAYS_FREE: Final = ("coulomb",)
 
@@ -54,7 +54,7 @@ def form_error(
     """
     if simple is None and not left_out:
         return None
-    signals = signals_from_log(log, machine)
+    signals = signals_from_log(align_velocity(log), machine)
     model = predict_signals(machine, signals, log.source).friction_N
     if simple is not None:
         added = (simple.inertia - machine.plant.moved) * signals.acceleration

@@ -28,7 +28,7 @@ from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.innovations import LEAST_UPDATES, Mask, innovation_loss, moving_updates
-from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.logs import Log, align_velocity
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
@@ -120,7 +120,7 @@ def tune(machine: Machine, log: Log, report: Progress = lambda _: None) -> Tuned
     Raises:
         InputError: the log has too few updates in motion.
     """
-    search = _WeightSearch(machine, signals_from_log(log, machine), log.source or "log", report)
+    search = _WeightSearch(machine, signals_from_log(align_velocity(log), machine), log.source or "log", report)
     start = best = search.trial({})
     for _ in range(ROUNDS):
         before = best

@@ -110,20 +110,6 @@ def integrate(columns: Mapping[str, Array], velocity: str) -> Array:
     return np.where(good, position, np.nan)
 
 
-def mean_over_sample(columns: Mapping[str, Array], position: str, velocity: str) -> Array:
-    """Velocity (n,) over the sample before each instant, as a difference of the position is.
-
-    Some loggers write that, others the velocity at the instant itself, which is half a sample ahead of it: acceleration
-    is then as much ahead of the force. What agrees better with the position's differences decides.
-    """
-    values = columns[velocity]
-    moved = np.diff(columns[position]) / np.diff(columns["time_s"])
-    mean = 0.5 * (values[1:] + values[:-1])
-    if not np.nansum((mean - moved) ** 2) < np.nansum((values[1:] - moved) ** 2):
-        return values
-    return np.concatenate((values[:1], mean))
-
-
 def si_piece(
     path: Path, table: Table, sources: tuple[Source, ...], raw: Mapping[str, NDArray[Any]], turns: Mapping[str, Turns]
 ) -> dict[str, Array]:

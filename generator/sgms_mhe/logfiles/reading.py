@@ -19,7 +19,7 @@ from sgms_mhe.logfiles.mdf import read_mdf
 from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.numpy_files import read_numpy
 from sgms_mhe.logfiles.parquet import read_feather, read_parquet
-from sgms_mhe.logfiles.quantities import integrate, mean_over_sample, si_values
+from sgms_mhe.logfiles.quantities import integrate, si_values
 from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
 from sgms_mhe.logfiles.table import Array, Column, Table
@@ -152,10 +152,7 @@ def _drop_repeats(columns: dict[str, Array], table: Table, say: Note) -> tuple[d
 
 
 def _complete(kind: Kind, columns: dict[str, Array], say: Note) -> dict[str, Array]:
-    """The columns with a position of the velocity, and a force of the friction, where either is not recorded.
-
-    A velocity is of the time that the position's differences are of.
-    """
+    """The columns with a position of the velocity, and a force of the friction, where either is not recorded."""
     names = {quantity.role: quantity.column for quantity in QUANTITIES[kind]}
     units, time = OF_KIND[kind], columns["time_s"]
     if names["position"] not in columns:
@@ -166,8 +163,6 @@ def _complete(kind: Kind, columns: dict[str, Array], say: Note) -> dict[str, Arr
             f"off by 0.1 % of its largest moves them by {drift:.2g} {units.position} by the end: nothing that depends "
             "on place, nor displacement before break-away, can be trusted"
         )
-    if names["velocity"] in columns:
-        columns = columns | {names["velocity"]: mean_over_sample(columns, names["position"], names["velocity"])}
     if names["force"] not in columns:
         columns = columns | {names["force"]: columns[names["friction"]]}
         say(

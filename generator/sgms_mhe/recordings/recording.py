@@ -19,7 +19,7 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.path import bridge_gaps, misread_paths, reading_error, smooth_path
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
-from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.logs import Log, align_velocity
 from sgms_mhe.signals.noise import encoder_step, position_noise
 from sgms_mhe.support.errors import InputError
 
@@ -254,6 +254,7 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     Raises:
         InputError: fewer usable samples than a fit needs.
     """
+    log = align_velocity(log)
     signals = signals_of_record(log, machine)
     good, warnings = _find_usable(machine, log, signals)
     n, rate = len(signals), machine.sampling.rate

@@ -100,6 +100,21 @@ class Log:
         return replace(self, source=source, **columns)
 
 
+def align_velocity(log: Log) -> Log:
+    """Return a whole record with its velocity over the sample before each instant, as a difference of the position is.
+
+    Some loggers write that, others the velocity at the instant itself, which is half a sample ahead of it: acceleration
+    is then as much ahead of the force. What agrees better with the position's differences decides.
+    """
+    velocity = log.velocity_m_s
+    if velocity is None:
+        return log
+    moved, mean = np.diff(log.position_m) * log.rate, 0.5 * (velocity[1:] + velocity[:-1])
+    if not np.nansum((mean - moved) ** 2) < np.nansum((velocity[1:] - moved) ** 2):
+        return log
+    return replace(log, velocity_m_s=np.concatenate((velocity[:1], mean)))
+
+
 def check_rate(log: Log, machine: Machine) -> None:
     """Refuse a log that was not recorded at the machine's sample rate."""
     rate = machine.sampling.rate
