@@ -160,9 +160,9 @@ def test_bounded_least_squares(seed: int) -> None:
     assert np.all(found[positive] >= 0.0)
 
 
-def still(velocity: Array, rate: float = RATE) -> ElementMotion:
+def still(velocity: Array, rate: float = RATE, load: Array | None = None) -> ElementMotion:
     """A motion that no filter comes after."""
-    return ElementMotion(axis(), rate, velocity, 1, 1, len(velocity), False)
+    return ElementMotion(axis(), rate, velocity, 1, 1, len(velocity), False, load=load)
 
 
 def random_motion(n: int = 3000) -> Array:
@@ -172,14 +172,30 @@ def random_motion(n: int = 3000) -> Array:
     return np.concatenate(([0.0], velocity[1:]))
 
 
-def test_elements_that_switch_are_stops() -> None:
+def random_load(n: int = 3000) -> Array:
+    """What a load adds to a level, over it: up to twice as much, slowly."""
+    return np.asarray(1.0 + np.sin(np.arange(n) / 300.0))
+
+
+@pytest.mark.parametrize("load", [None, random_load()], ids=["free", "loaded"])
+def test_elements_that_switch_are_stops(load: Array | None) -> None:
+    """A load moves the stops apart; of the force the share of the level without it counts."""
     velocity, distance = random_motion(), 5e-6
-    s, wanted = 0.0, []
-    for v in velocity / RATE:
-        s = min(max(s + v, -distance), distance)
-        wanted.append(s / distance)
-    found = run_element(still(velocity), "switching", distance, Stribeck(0.0, 1e-3)).chi
-    assert np.max(np.abs(found - wanted)) < 1e-12
+    s, wanted, level = 0.0, [], np.ones(len(velocity)) if load is None else 1.0 + load
+    for v, limit in zip(velocity / RATE, level * distance, strict=True):
+        s = min(max(s + v, -limit), limit)
+        wanted.append(s / limit)
+    found = run_element(still(velocity, load=load), "switching", distance, Stribeck(0.0, 1e-3)).chi
+    a_sample = 0.0 if load is None else np.abs(np.diff(load)).max()  # of the load: a step has that of one of its ends
+    assert np.max(np.abs(found - wanted)) < 1e-12 + 0.5 * a_sample
+
+
+@pytest.mark.parametrize("law", ["switching", "sgms"])
+def test_a_constant_load_makes_an_element_of_a_longer_distance(law: Law) -> None:
+    velocity, distance, rise = random_motion(), 5e-6, Stribeck(0.0, 1e-3)
+    loaded = run_element(still(velocity, load=np.full(3000, 0.5)), law, distance, rise)
+    longer = run_element(still(velocity), law, 1.5 * distance, rise)
+    assert np.max(np.abs(loaded.chi - longer.chi)) < 1e-3
 
 
 def test_smooth_elements_are_those_of_the_reference() -> None:
@@ -203,14 +219,15 @@ def test_smooth_elements_are_those_of_the_reference() -> None:
     assert np.max(np.abs(found - wanted)) < 5e-5
 
 
+@pytest.mark.parametrize("load", [None, random_load()], ids=["free", "loaded"])
 @pytest.mark.parametrize("law", ["switching", "sgms"])
-def test_derivatives_of_elements(law: Law) -> None:
+def test_derivatives_of_elements(law: Law, load: Array | None) -> None:
     velocity, distance, rise, step = random_motion(), 5e-6, Stribeck(0.3, 1e-3), 1e-6
-    slopes = run_element(still(velocity), law, distance, rise).jacobian
+    slopes = run_element(still(velocity, load=load), law, distance, rise).jacobian
 
     def chi(a: float = 0.0, b: float = 0.0, c: float = 0.0) -> Array:
         changed = Stribeck(0.3 + b, 1e-3 * np.exp(c))
-        return run_element(still(velocity), law, distance * np.exp(a), changed, jacobian=False).chi
+        return run_element(still(velocity, load=load), law, distance * np.exp(a), changed, jacobian=False).chi
 
     for j in range(3):
         ahead, behind = (chi(*(sign * step * np.eye(3)[j])) for sign in (1.0, -1.0))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sgms_mhe.identification.fits import AxisFit, RecordView, fit_axis
 from sgms_mhe.identification.record_numbers import fit_record_terms
+from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.identification.search import CHOICE_ITERATIONS, Views, align, fit_aligned, is_better
 from sgms_mhe.identification.terms import (
     LAW_AND_SAMPLING,
@@ -24,6 +27,8 @@ from sgms_mhe.model.effects import effect_definition, separating_moves
 from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
+
+Array = NDArray[np.float64]
 
 
 def add_companions(
@@ -138,8 +143,11 @@ def _has_limit(name: str, excited: Collection[str]) -> bool:
     return any(limit in excited for limit in effect_definition(name).simpler.causes)
 
 
-def fit_level_terms(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
-    """Return the effects of the level of a fit, with all trials of what they are not linear in."""
+def fit_level_terms(rows: Recording, fit: AxisFit, sliding: Array | None = None) -> tuple[Term, ...]:
+    """Return the effects of the level of a fit, with all trials of what they are not linear in.
+
+    `sliding`: as of `level_terms`; None: the fit's.
+    """
     moved = rows.machine.plant.moved + float(fit.coefficient("mass").sum())
     level = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if is_level(t))
     viscous = fit.jacobian[:, fit.place("viscous")] @ fit.coefficient("viscous")
@@ -147,9 +155,33 @@ def fit_level_terms(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
     return level_terms(
         rows,
         transmitted_force(rows, fit.terms, fit.coefficients),
-        fit.sliding(rows.velocity),
+        fit.sliding(rows.velocity) if sliding is None else sliding,
         fit.shape.rise,
         KnownFriction(elements + viscous + level, elements, moved),
+    )
+
+
+def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
+    """Return the records whose elements carry what a fit's load adds to its level: they break away later by as much."""
+    rows, terms = view.rows, [term for term in fit.terms if is_level(term) and term.positive]
+    if not terms or not fit.coulomb > 0.0:
+        return view
+    found = {(term.name, *term.given.values()): term for term in fit_level_terms(rows, fit, np.ones(len(rows.time)))}
+    added = sum(
+        np.abs(found[term.name, *term.given.values()].columns[:, : term.columns.shape[1]]) @ fit.coefficient(term.name)
+        for term in terms
+    )
+    ends = np.cumsum([motion.rows for motion in view.motions])
+    loads = np.split(np.asarray(added) / fit.coulomb, ends[:-1])
+
+    def loaded(motions: Sequence[ElementMotion]) -> tuple[ElementMotion, ...]:
+        return tuple(motion.loaded(load) for motion, load in zip(motions, loads, strict=True))
+
+    return replace(
+        view,
+        motions=loaded(view.motions),
+        misread=tuple(map(loaded, view.misread)),
+        thinned=tuple(map(loaded, view.thinned)),
     )
 
 

@@ -4,7 +4,8 @@ The elements of an axis know nothing of one another: each obeys its own equation
 
     y = sum_k L_k chi(D_k, beta, v_s),    L_k = nu_k f_C,    D_k = nu_k f_C / kappa_k
 
-so that one compiled element of level 1 serves any number of them, and levels are linear.
+so that one compiled element of level 1 serves any number of them, and levels are linear. A load adds to the level and
+not to the stiffness: the element breaks away later, and of its force the share of the level without the load counts.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ GATE: Final = 0.36
 """Speed over the Stribeck velocity from which the gate of the smooth law, with its usual smoothing, is saturated."""
 RATE: Final = 1000.0
 """Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
+LOAD_RATIO: Final = 0.5
+"""Level over load that a loaded element is compiled for."""
 
 _one_at_a_time = threading.Lock()
 
@@ -76,7 +79,7 @@ def run_element(
     element then serves all that have about the same Stribeck velocity in these. One that has just run is not run again.
     """
     unit = DISTANCE / distance * RATE / motion.rate
-    code = _compile(law, _nominal(law, rise.velocity * unit))
+    code = _compile(law, _nominal(law, rise.velocity * unit), motion.load is not None)
     nominal = np.array([p.nominal for p in code.model.parameters])
     values = np.array([1.0 / DISTANCE, rise.ratio, rise.velocity * unit])
 
@@ -84,16 +87,36 @@ def run_element(
         n = len(motion.velocity)
         w = np.zeros((n, 5))
         w[:, 1] = motion.velocity * unit
+        if motion.load is not None:
+            w[:, 2] = motion.load / LOAD_RATIO
         chi, d = np.empty(n), np.empty((n, 3)) if jacobian else None
         code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d)
-        if d is None:
-            return motion.to_rows(chi), None
-        # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
-        return motion.to_rows(chi), motion.to_rows(d * (np.array([-values[0], 1.0, values[2]]) / nominal))
+        if d is not None:
+            # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
+            d *= np.array([-values[0], 1.0, values[2]]) / nominal
+        if motion.load is not None:
+            chi, d = _without_load(motion, rise, chi, d)
+        return motion.to_rows(chi), None if d is None else motion.to_rows(d)
 
     # The unit says which distance it is: values alone are those of others at another speed as well.
     chi, d = motion.runs.get(code, motion.velocity, np.append(values, unit), jacobian, run)
     return ElementRun(chi, np.empty((motion.rows, 0)) if d is None else d)
+
+
+def _without_load(
+    motion: ElementMotion, rise: Stribeck, chi: Array, slopes: Array | None
+) -> tuple[Array, Array | None]:
+    """Return of a loaded element's force (n) and its slopes (n, 3) the share of the level without the load."""
+    load = np.zeros(0) if motion.load is None else motion.load
+    bell = np.exp(-((motion.velocity / rise.velocity) ** 2))
+    level = 1.0 + rise.ratio * bell
+    share = level / (level + load)
+    if slopes is not None:
+        d_level = np.column_stack(
+            (np.zeros_like(bell), bell, 2.0 * rise.ratio * bell * (motion.velocity / rise.velocity) ** 2)
+        )
+        slopes = share[:, None] * slopes + d_level * (chi * load / (level + load) ** 2)[:, None]
+    return share * chi, slopes
 
 
 def run_elements(
@@ -129,18 +152,22 @@ def _nominal(law: Law, velocity: float) -> float:
     return 1.0 if law == "switching" else COARSE ** math.ceil(math.log(velocity, COARSE))
 
 
-def _compile(law: Law, velocity: float) -> CompiledModel:
+def _compile(law: Law, velocity: float, loaded: bool) -> CompiledModel:
     """Return the cached value of `_compile_once`, for one thread at a time."""
     with _one_at_a_time:
-        return _compile_once(law, velocity)
+        return _compile_once(law, velocity, loaded)
 
 
 @lru_cache(maxsize=64)
-def _compile_once(law: Law, velocity: float) -> CompiledModel:
-    """The emitted model of an axis with one element of level 1 and nothing else."""
+def _compile_once(law: Law, velocity: float, loaded: bool) -> CompiledModel:
+    """The emitted model of an axis with one element of level 1 and nothing else.
+
+    One that is loaded carries its own inertia of 1 alone, so that the acceleration is the load.
+    """
     content = {
         "name": "one_element",
-        "plant": {"mass": 1.0},
+        "plant": {"kind": "rotary", "inertia": 1.0} if loaded else {"mass": 1.0},
+        "effects": [{"name": "load_dependent_friction", "ratio": LOAD_RATIO}] if loaded else [],
         "friction": {
             "law": law,
             "stiffness": [1.0 / DISTANCE],

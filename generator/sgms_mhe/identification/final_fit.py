@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.identification.companions import add_companions, bend, best_trials, fit_level_terms
+from sgms_mhe.identification.companions import add_companions, bend, best_trials, carry_load, fit_level_terms
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.fits import (
     AxisFit,
@@ -128,10 +128,11 @@ def make_final_fit(
     """
     report("what stands beside the elements")
     fit, rivals = add_companions(views, found.quickest, base, companions, excited)
+    views = Views(carry_load(views.coarse, fit), carry_load(views.fine, fit))
     fit = _test_level_rise(views, _test_rise(views, fit))
     fit = _test_curves(views, fit, [term for term in curves if term.name in excited])
     report("numbers at the full rate")
-    fit = _fit_finely(views, fit, found.fit.shape.law)
+    views, fit = _fit_finely(views, fit, found.fit.shape.law)
     if not wanted.count:
         count = len(fit.levels)
         fit = drop_traces(views, fit)
@@ -182,16 +183,20 @@ def _coordinates(fit: AxisFit) -> Array:
     return np.concatenate((np.log(fit.shape.distances), fit.levels, bent, fit.coefficients))
 
 
-def _fit_finely(views: Views, fit: AxisFit, law: Law) -> AxisFit:
-    """The fit at the full rate under a law, what a level grows with taken from it until that does not change."""
+def _fit_finely(views: Views, fit: AxisFit, law: Law) -> tuple[Views, AxisFit]:
+    """The fit at the full rate under a law, what a level grows with taken from it until that does not change.
+
+    And the views that it is of: elements carry what a load adds to their level.
+    """
     fit = fit_axis(views.fine, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS)
     renewed = any(is_level(term) or term.name == LEVEL_OF_RECORD for term in fit.terms)
     for _ in range(RENEWALS if renewed else 0):
         before = fit.rms
+        views = replace(views, fine=carry_load(views.fine, fit))
         fit = fit_axis(views.fine, _renew_levels(views, fit), fit.shape, iterations=FINAL_ITERATIONS)
         if abs(fit.rms - before) <= SETTLED * before:
             break
-    return fit
+    return views, fit
 
 
 def _renew_levels(views: Views, fit: AxisFit) -> tuple[Term, ...]:

@@ -24,7 +24,7 @@ from sgms_mhe.recordings.path import (
 )
 from sgms_mhe.recordings.recording import Recording, Runs, add_encoder, position_error, prepare
 from sgms_mhe.recordings.series import row_means
-from sgms_mhe.signals.chain import apply_chain, readings
+from sgms_mhe.signals.chain import apply_chain, chain_delay, readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import encoder_step, noise_course
 
@@ -58,6 +58,7 @@ class ElementMotion:
             else those behind the filters.
         runs: the newest ones of elements along it.
         scale: level of its record over the mean of all [1]; stiffnesses are the same.
+        load: what a load adds to the level at each instant, over the level without it (n) [1]; None: nothing.
     """
 
     machine: Machine
@@ -69,6 +70,14 @@ class ElementMotion:
     filtered: bool
     runs: Runs = field(default_factory=lambda: Runs(RUNS_CACHED), repr=False)
     scale: float = 1.0
+    load: Array | None = None
+
+    def loaded(self, load: Array) -> ElementMotion:
+        """Return the motion under a load that adds to the level: over the level without it, at each row (rows) [1]."""
+        samples = (np.arange(1, len(self.velocity) + 1) / self.steps - 1.0) + 0.5 * (1 - self.factor)
+        late = chain_delay(self.machine) * self.machine.sampling.rate if self.filtered else 0.0
+        course = np.interp((samples + late) / self.factor, np.arange(self.rows), load)
+        return replace(self, load=course, runs=Runs(RUNS_CACHED))
 
     def to_rows(self, series: Array) -> Array:
         """A force, or columns of forces, at the rows: (n, ...) to (rows, ...)."""
