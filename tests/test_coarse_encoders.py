@@ -12,11 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 from sgms_bench.diagnosis.motions import draw_motion
-from sgms_bench.studies.coarse import draw_coarse_axis
+from sgms_bench.studies.coarse import draw_coarse_axis, has_curve
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.alignment import find_chain_error, find_encoder_force
 from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
@@ -236,6 +237,15 @@ def test_a_record_that_its_own_numbers_explain_is_not_left_unexplained_by_the_fi
     found = diagnose(axis.machine, axis.log)
     assert (found.verdict, names(found)) == ("explained", ["force_ripple"])
     assert found.causes[0].parameters["pitch_m"] == pytest.approx(4e-3, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3050, 3059])
+def test_what_an_encoders_steps_leave_is_no_curve_over_speed(seed: int) -> None:
+    axis = draw_coarse_axis(seed)
+    found = identify([axis.log], Wanted("axis", axis.machine.plant.moved if axis.mass_given else None))
+    assert found.held_out_rms_N < 1.1 * found.noise_floor_N
+    assert not has_curve(found)
 
 
 def test_a_path_begins_and_ends_as_its_readings_do() -> None:

@@ -18,6 +18,7 @@ from sgms_mhe.identification.fits import (
     RecordView,
     Shape,
     covariance,
+    encoder_forces,
     fit_axis,
     noise_share,
     quantities,
@@ -45,6 +46,7 @@ from sgms_mhe.identification.terms import (
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.evidence import largest_force
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
 
@@ -292,8 +294,11 @@ def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
 def _test_curves(views: Views, fit: AxisFit, curves: Sequence[Term]) -> AxisFit:
     """The fit with the curve over speed of the fewest numbers than which none leaves less, where one leaves less.
 
-    The elements' own rise is judged anew beside a curve: it hides behind one, or stood for it.
+    The elements' own rise is judged anew beside a curve: it hides behind one, or stood for it. Where no more is left
+    than the encoder's steps make, what a curve takes of it is theirs.
     """
+    if _leaves_steps_alone(views.fine, fit):
+        return fit
     lined, machine = align(views, fit), views.fine.rows.machine
     without = look = fit_axis(lined, fit.terms, fit.shape, iterations=0)
     for curve in curves:
@@ -314,6 +319,13 @@ def _test_curves(views: Views, fit: AxisFit, curves: Sequence[Term]) -> AxisFit:
     best = _search_rise(views, fit_aligned(views, look.terms, fit.shape))
     gains = is_better(best, fit) and is_possible(machine, best, look.terms[-1]) and _has_sure_level(views.fine, best)
     return best if gains else fit
+
+
+def _leaves_steps_alone(view: RecordView, fit: AxisFit) -> bool:
+    """Return True if a fit leaves no more than the force that the encoder's steps make."""
+    along = fit_axis(view, fit.terms, fit.shape, iterations=0)
+    steps = largest_force(view.rows, encoder_forces(view, along))
+    return steps is not None and along.cross_rms <= view.rows.rms(steps)
 
 
 def _has_sure_level(view: RecordView, fit: AxisFit) -> bool:
