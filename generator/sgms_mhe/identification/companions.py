@@ -174,14 +174,14 @@ def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
     ends = np.cumsum([motion.rows for motion in view.motions])
     loads = np.split(np.asarray(added) / fit.coulomb, ends[:-1])
 
-    def loaded(motions: Sequence[ElementMotion]) -> tuple[ElementMotion, ...]:
-        return tuple(motion.loaded(load) for motion, load in zip(motions, loads, strict=True))
+    def carry(motions: Sequence[ElementMotion]) -> tuple[ElementMotion, ...]:
+        return tuple(motion.carry(load) for motion, load in zip(motions, loads, strict=True))
 
     return replace(
         view,
-        motions=loaded(view.motions),
-        misread=tuple(map(loaded, view.misread)),
-        thinned=tuple(map(loaded, view.thinned)),
+        motions=carry(view.motions),
+        misread=tuple(map(carry, view.misread)),
+        thinned=tuple(map(carry, view.thinned)),
     )
 
 

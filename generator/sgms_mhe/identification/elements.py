@@ -26,6 +26,8 @@ from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
 from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.model import build_model
+from sgms_mhe.model.effects import effect_definition, effect_names
+from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
@@ -95,7 +97,7 @@ def run_element(
             # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
             d *= np.array([-values[0], 1.0, values[2]]) / nominal
         if motion.load is not None:
-            chi, d = _without_load(motion, rise, chi, d)
+            chi, d = _take_load_off(motion, rise, chi, d)
         return motion.to_rows(chi), None if d is None else motion.to_rows(d)
 
     # The unit says which distance it is: values alone are those of others at another speed as well.
@@ -103,7 +105,7 @@ def run_element(
     return ElementRun(chi, np.empty((motion.rows, 0)) if d is None else d)
 
 
-def _without_load(
+def _take_load_off(
     motion: ElementMotion, rise: Stribeck, chi: Array, slopes: Array | None
 ) -> tuple[Array, Array | None]:
     """Return of a loaded element's force (n) and its slopes (n, 3) the share of the level without the load."""
@@ -158,6 +160,15 @@ def _compile(law: Law, velocity: float, loaded: bool) -> CompiledModel:
         return _compile_once(law, velocity, loaded)
 
 
+def _load_entry() -> dict[str, float | str]:
+    """Return the entry of [[effects]] of the one whose level grows with the load, LOAD_RATIO times it."""
+    for name in effect_names("rotary"):
+        definition = effect_definition(name)
+        if definition.rises and isinstance(definition.search, Columns):
+            return {"name": name, **definition.search.parameters({}, np.array([LOAD_RATIO]))}
+    raise AssertionError("no effect of the level grows with a load")
+
+
 @lru_cache(maxsize=64)
 def _compile_once(law: Law, velocity: float, loaded: bool) -> CompiledModel:
     """The emitted model of an axis with one element of level 1 and nothing else.
@@ -167,7 +178,7 @@ def _compile_once(law: Law, velocity: float, loaded: bool) -> CompiledModel:
     content = {
         "name": "one_element",
         "plant": {"kind": "rotary", "inertia": 1.0} if loaded else {"mass": 1.0},
-        "effects": [{"name": "load_dependent_friction", "ratio": LOAD_RATIO}] if loaded else [],
+        "effects": [_load_entry()] if loaded else [],
         "friction": {
             "law": law,
             "stiffness": [1.0 / DISTANCE],

@@ -72,7 +72,7 @@ class ElementMotion:
     scale: float = 1.0
     load: Array | None = None
 
-    def loaded(self, load: Array) -> ElementMotion:
+    def carry(self, load: Array) -> ElementMotion:
         """Return the motion under a load that adds to the level: over the level without it, at each row (rows) [1]."""
         samples = (np.arange(1, len(self.velocity) + 1) / self.steps - 1.0) + 0.5 * (1 - self.factor)
         late = chain_delay(self.machine) * self.machine.sampling.rate if self.filtered else 0.0

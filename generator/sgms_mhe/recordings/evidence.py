@@ -327,11 +327,11 @@ def invert_information(H: Array) -> Array:
 
     Each number in units of its own deviation: which directions are known does not depend on the units of numbers.
     """
-    root = _root_of_inverse(H)
+    root = _find_root_of_inverse(H)
     return np.asarray(root @ root.T)
 
 
-def _root_of_inverse(H: Array) -> Array:
+def _find_root_of_inverse(H: Array) -> Array:
     """Return R (p, k) with R R' the inverse of an information (p, p) of rank k."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), TINY))
     values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
@@ -375,7 +375,7 @@ def jackknife_covariance(recording: Recording, X: Array, residual: Array, H: Arr
     already made them small. H (p, p): information of all.
     """
     information, scores, _ = block_moments(recording, X, residual)
-    root = _root_of_inverse(H)
+    root = _find_root_of_inverse(H)
     moves = []
     for own, score in zip(information, scores, strict=True):
         share, direction = np.linalg.eigh(root.T @ own @ root)
