@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,6 +76,22 @@ def test_faults_are_noticed(require_tool: Tool, monkeypatch: pytest.MonkeyPatch)
     counted, noticed = map(int, re.findall(r"(\d+) (?:mutants|noticed)", at_random.tried))
     assert noticed > 0.8 * counted - 2.0 * math.sqrt(0.8 * 0.2 * counted), at_random.failures
     assert re.match(rf"{counted} mutants that are not equivalent, ", together.tried) and len(together.failures) <= 4
+
+
+@pytest.mark.slow
+def test_origin_set_twice_and_samples_that_settle_too_early_are_noticed(tmp_path: Path, require_tool: Tool) -> None:
+    """A second origin counts from the first; filters settle as long after a first reading as after a gap."""
+    require_tool("gcc")
+    package = emit_package(specimen("signals"))
+    campaign, files = Campaign(package, tmp_path), package.files
+    twice = files["specimen_signals.c"].replace("-= origin - before", "-= origin + before")
+    assert campaign.judge({**files, "specimen_signals.c": twice}) is Verdict.NOTICED
+    zero, text = "m->counts[2] = 0;", files["sgms_filter.h"]
+    places = [found.start() for found in re.finditer(re.escape(zero), text)]
+    assert len(places) == 3
+    for at in places:
+        early = text[:at] + zero.replace("0;", "1;") + text[at + len(zero) :]
+        assert campaign.judge({**files, "sgms_filter.h": early}) is Verdict.MISSED
 
 
 def test_mutants_are_those_of_the_seed(package: Package) -> None:

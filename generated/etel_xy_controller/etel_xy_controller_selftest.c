@@ -201,6 +201,7 @@ static int computes_functions(void)
         const sgms_real most = 8.0f * SGMS_EPSILON * (1.0f + sgms_fabs(x));
         good = is_near(sgms_log(sgms_exp(x)), x, most) && good;
         good = is_near(sgms_exp(x) * sgms_exp(-x), 1.0f, most) && good;
+        good = sgms_same_sign(x, x) != 0 && good;
     }
     return good;
 }

@@ -210,5 +210,6 @@ FAULTS: Final = (
         "self->sweep.start + slot_before(self, back - 1) * TRIANGLE_SIZE",
         "self->sweep.start + slot_before(self, back) * TRIANGLE_SIZE",
     ),
+    Fault("a number of another sign than itself", "sgms_math.h", "^ sgms_bits(b)) >= 0", "^ sgms_bits(b)) > 0"),
 )
 """Of `etel_xy`; all of them compile."""
