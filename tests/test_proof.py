@@ -100,3 +100,13 @@ def test_code_that_does_not_parse_is_no_proof(package: Package, require_tool: To
 
 def test_every_alarm_has_a_reason() -> None:
     assert all(len(reason.split()) >= 5 for reason in ALARMS.values()) and len(CALLS) == len(set(CALLS))
+
+
+def test_an_analysis_that_does_not_end_is_a_failure(
+    package: Package, require_tool: Tool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require_tool("frama-c")
+    monkeypatch.setattr("sgms_bench.verification.proof.SECONDS", 0.5)
+    outcome = check_proof([package.machine], silent, ("SAMPLE", "SET"))
+    assert outcome.skipped is None
+    assert [said.partition(": ")[0] for said in outcome.failures] == ["etel_xy, SAMPLE", "etel_xy, SET"]
