@@ -241,7 +241,7 @@ def test_a_record_that_its_own_numbers_explain_is_not_left_unexplained_by_the_fi
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [3050, 3059])
-def test_what_an_encoders_steps_leave_is_no_curve_over_speed(seed: int) -> None:
+def test_an_encoders_steps_make_no_curve_over_speed(seed: int) -> None:
     axis = draw_coarse_axis(seed)
     found = identify([axis.log], Wanted("axis", axis.machine.plant.moved if axis.mass_given else None))
     assert found.held_out_rms_N < 1.1 * found.noise_floor_N

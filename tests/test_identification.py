@@ -173,7 +173,7 @@ def random_motion(n: int = 3000) -> Array:
 
 
 def random_load(n: int = 3000) -> Array:
-    """What a load adds to a level, over it: up to twice as much, slowly."""
+    """Return the level that a load adds over the level without it (n), from 0 to 2, slowly."""
     return np.asarray(1.0 + np.sin(np.arange(n) / 300.0))
 
 

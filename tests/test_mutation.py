@@ -79,7 +79,7 @@ def test_faults_are_noticed(require_tool: Tool, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.slow
-def test_origin_set_twice_and_samples_that_settle_too_early_are_noticed(tmp_path: Path, require_tool: Tool) -> None:
+def test_a_second_origin_and_filters_that_settle_early_are_noticed(tmp_path: Path, require_tool: Tool) -> None:
     """A second origin counts from the first; filters settle as long after a first reading as after a gap."""
     require_tool("gcc")
     package = emit_package(specimen("signals"))

@@ -14,6 +14,7 @@ from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.identification.search import CHOICE_ITERATIONS, Views, align, fit_aligned, is_better
 from sgms_mhe.identification.terms import (
     LAW_AND_SAMPLING,
+    LEVEL_OF_RECORD,
     OF_RECORD,
     KnownFriction,
     Term,
@@ -163,14 +164,11 @@ def fit_level_terms(rows: Recording, fit: AxisFit, sliding: Array | None = None)
 
 def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
     """Return the records whose elements carry what a fit's load adds to its level: they break away later by as much."""
-    rows, terms = view.rows, [term for term in fit.terms if is_level(term) and term.positive]
+    terms = [term for term in fit.terms if is_level(term) and term.positive]
     if not terms or not fit.coulomb > 0.0:
         return view
-    found = {(term.name, *term.given.values()): term for term in fit_level_terms(rows, fit, np.ones(len(rows.time)))}
-    added = sum(
-        np.abs(found[term.name, *term.given.values()].columns[:, : term.columns.shape[1]]) @ fit.coefficient(term.name)
-        for term in terms
-    )
+    slipping = renew_columns(terms, fit_level_terms(view.rows, fit, np.ones(len(view.rows.time))))
+    added = sum(np.abs(term.columns) @ fit.coefficient(term.name) for term in slipping)
     ends = np.cumsum([motion.rows for motion in view.motions])
     loads = np.split(np.asarray(added) / fit.coulomb, ends[:-1])
 
@@ -182,6 +180,17 @@ def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
         motions=carry(view.motions),
         misread=tuple(map(carry, view.misread)),
         thinned=tuple(map(carry, view.thinned)),
+    )
+
+
+def renew_columns(terms: Sequence[Term], renewed: Sequence[Term]) -> tuple[Term, ...]:
+    """Return terms, those of the level and of its records with the columns that they have among the renewed ones."""
+    found = {(term.name, *term.given.values()): term.columns for term in renewed}
+    return tuple(
+        replace(term, columns=found[term.name, *term.given.values()][:, : term.columns.shape[1]])
+        if is_level(term) or term.name == LEVEL_OF_RECORD
+        else term
+        for term in terms
     )
 
 

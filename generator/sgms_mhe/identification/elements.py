@@ -97,7 +97,7 @@ def run_element(
             # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
             d *= np.array([-values[0], 1.0, values[2]]) / nominal
         if motion.load is not None:
-            chi, d = _take_load_off(motion, rise, chi, d)
+            chi, d = _take_load_off(motion.load, motion.velocity, rise, chi, d)
         return motion.to_rows(chi), None if d is None else motion.to_rows(d)
 
     # The unit says which distance it is: values alone are those of others at another speed as well.
@@ -106,16 +106,15 @@ def run_element(
 
 
 def _take_load_off(
-    motion: ElementMotion, rise: Stribeck, chi: Array, slopes: Array | None
+    load: Array, velocity: Array, rise: Stribeck, chi: Array, slopes: Array | None
 ) -> tuple[Array, Array | None]:
-    """Return of a loaded element's force (n) and its slopes (n, 3) the share of the level without the load."""
-    load = np.zeros(0) if motion.load is None else motion.load
-    bell = np.exp(-((motion.velocity / rise.velocity) ** 2))
+    """Return of a loaded element's force (n) and its slopes (n, 3) the share of the level without the load (n)."""
+    bell = np.exp(-((velocity / rise.velocity) ** 2))
     level = 1.0 + rise.ratio * bell
     share = level / (level + load)
     if slopes is not None:
         d_level = np.column_stack(
-            (np.zeros_like(bell), bell, 2.0 * rise.ratio * bell * (motion.velocity / rise.velocity) ** 2)
+            (np.zeros_like(bell), bell, 2.0 * rise.ratio * bell * (velocity / rise.velocity) ** 2)
         )
         slopes = share[:, None] * slopes + d_level * (chi * load / (level + load) ** 2)[:, None]
     return share * chi, slopes

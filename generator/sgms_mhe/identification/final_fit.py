@@ -10,7 +10,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.identification.companions import add_companions, bend, best_trials, carry_load, fit_level_terms
+from sgms_mhe.identification.companions import (
+    add_companions,
+    bend,
+    best_trials,
+    carry_load,
+    fit_level_terms,
+    renew_columns,
+)
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.fits import (
     AxisFit,
@@ -203,14 +210,7 @@ def _fit_finely(views: Views, fit: AxisFit, law: Law) -> tuple[Views, AxisFit]:
 
 def _renew_levels(views: Views, fit: AxisFit) -> tuple[Term, ...]:
     """The terms of a fit, those of the level along what it transmits, or along its elements."""
-    terms = (*fit_level_terms(views.fine.rows, fit), *fit_record_terms(views, fit))
-    renewed = {(term.name, *term.given.values()): term for term in terms}
-    return tuple(
-        replace(term, columns=renewed[term.name, *term.given.values()].columns[:, : term.columns.shape[1]])
-        if is_level(term) or term.name == LEVEL_OF_RECORD
-        else term
-        for term in fit.terms
-    )
+    return renew_columns(fit.terms, (*fit_level_terms(views.fine.rows, fit), *fit_record_terms(views, fit)))
 
 
 def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
@@ -297,7 +297,7 @@ def _test_curves(views: Views, fit: AxisFit, curves: Sequence[Term]) -> AxisFit:
     The elements' own rise is judged anew beside a curve: it hides behind one, or stood for it. Where no more is left
     than the encoder's steps make, what a curve takes of it is theirs.
     """
-    if _leaves_steps_alone(views.fine, fit):
+    if not curves or _leaves_steps_alone(views.fine, fit):
         return fit
     lined, machine = align(views, fit), views.fine.rows.machine
     without = look = fit_axis(lined, fit.terms, fit.shape, iterations=0)
