@@ -132,7 +132,7 @@ benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many 
 benchmark-logs: $(STAMP) ## drawn logs in every format with every fault: read right, refused rightly, or wrong; minutes
 	$(BIN)/python -m sgms_bench.logs $(if $(DRAWS),--draws $(DRAWS))
 
-benchmark-measured: $(STAMP) ## measured records in DATA, by the table TABLE (DATA/measured.toml): ours beside published numbers; minutes each
+benchmark-measured: $(STAMP) ## measured records in DATA, by the table TABLE (DATA/measured.toml, or public ones): ours beside published numbers; minutes each
 	$(BIN)/python -m sgms_bench.measured $(DATA) $(if $(TABLE),--table $(TABLE)) $(if $(ONLY),--only "$(ONLY)") $(if $(HALVES),--halves)
 
 # --- documents -------------------------------------------------------------------------------------------------------

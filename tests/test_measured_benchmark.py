@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from diagnosis_cases import explained
 from sgms_bench.measured.__main__ import main
 from sgms_bench.measured.running import MeasuredOutcome, MeasuredTally, pair_numbers, run_table
 from sgms_bench.measured.table import read_table
+from sgms_mhe.api.inputs import read_log
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.evaluation.prediction import ForceError
@@ -143,9 +144,30 @@ def test_a_table_that_cannot_be_meant_is_refused(
     assert said in error
 
 
-def test_a_folder_without_a_table_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_without_a_table_or_a_public_record_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([str(tmp_path)]) == 2
-    assert "measured.toml" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "measured.toml" in error
+    assert "emps/DATA_EMPS.mat" in error
+
+
+def test_a_folder_without_a_table_has_the_public_records_that_it_holds(tmp_path: Path) -> None:
+    (tmp_path / "joints").mkdir()
+    (tmp_path / "joints" / "franka_case4_slow.csv.gz").touch()
+    table = read_table(tmp_path)
+    assert [record.name for record in table.records] == ["franka_case4_slow"]
+    assert "EMPS, first half" in table.absent and "fairino_line_slow" in table.absent
+
+
+def test_every_public_record_is_read_by_its_table(measured_data: Callable[[str], Path]) -> None:
+    table = read_table(measured_data("emps").parent)
+    assert table.absent == ()
+    for record in table.records:
+        machine = None if record.machine is None else load_machine(record.machine)
+        log = read_log(table.locate(record.log), machine, table=record.table if machine is None else None)
+        assert log.time_s[-1] - log.time_s[0] > 9.0
 
 
 def test_harmonics_of_halves_are_compared_by_their_order() -> None:

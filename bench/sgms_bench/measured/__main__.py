@@ -19,7 +19,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the records and print the table; 2 where it cannot be read."""
     parser = argparse.ArgumentParser(prog="python -m sgms_bench.measured", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path, help="folder that the records are in")
-    parser.add_argument("--table", type=Path, help="TOML file of records; default: measured.toml in the folder")
+    parser.add_argument(
+        "--table", type=Path, help="TOML file of records; default: measured.toml in the folder, or ours"
+    )
     parser.add_argument("--only", help="records whose name holds this")
     parser.add_argument("--halves", action="store_true", help="diagnose the compared stretch too, and compare numbers")
     chosen = parser.parse_args(arguments)
@@ -31,6 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     try:
         table = read_table(chosen.data, chosen.table)
+        for name in table.absent:
+            tell(f"{name}: left out, {chosen.data} does not have its file")
         records = tuple(record for record in table.records if chosen.only is None or chosen.only in record.name)
         for outcome in run_table(MeasuredTable(records, table.folder), halves=chosen.halves):
             tally.add(outcome, tell)

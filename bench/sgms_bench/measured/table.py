@@ -17,6 +17,8 @@ from sgms_mhe.support.errors import InputError
 Beginning = Literal["file", "start", "identify"]
 TABLE_NAME: Final = "measured.toml"
 """File of a data folder in which the table is looked for."""
+PUBLIC: Final = Path(__file__).with_name("public.toml")
+"""Table of public records, for a folder that has none of its own."""
 _Positive = Annotated[float, Field(gt=0.0)]
 _Interval = tuple[Annotated[float, Field(ge=0.0)], _Positive]
 
@@ -82,10 +84,17 @@ class _Table(BaseModel):
 
 @dataclass(frozen=True)
 class MeasuredTable:
-    """Records of a table, and the folder that its files are in."""
+    """Records of a table, and the folder that its files are in.
+
+    Attributes:
+        records: whose files the folder has.
+        folder: that their paths begin at.
+        absent: names of public records whose files it does not have.
+    """
 
     records: tuple[MeasuredRecord, ...]
     folder: Path
+    absent: tuple[str, ...] = ()
 
     def locate(self, name: str) -> Path:
         """Path of a file that the table names."""
@@ -97,12 +106,31 @@ def read_table(data: Path, table: Path | None = None) -> MeasuredTable:
 
     Args:
         data: folder that the table's files are in.
-        table: its file; None: `measured.toml` in the folder.
+        table: its file; None: `measured.toml` in the folder, or else the public records that the folder has.
 
     Raises:
-        InputError: no such file, no TOML, or an entry that no table may have.
+        InputError: no such file, no TOML, or an entry that no table may have; a folder without any public record.
     """
     path = table or data / TABLE_NAME
+    if table is None and not path.is_file():
+        return _read_public(data)
+    records = _read_records(path)
+    for record in records:
+        for name in _missing(record, data):
+            raise InputError(path, f"{record.name}: log", name, f"a file in {data}")
+    return MeasuredTable(records, data)
+
+
+def _read_public(data: Path) -> MeasuredTable:
+    records = _read_records(PUBLIC)
+    found = tuple(record for record in records if not _missing(record, data))
+    if not found:
+        wanted = f"{TABLE_NAME}, or files of public records ({', '.join(sorted({r.log for r in records}))})"
+        raise InputError(data, "measured records", None, f"{wanted}; TABLE=FILE names another table")
+    return MeasuredTable(found, data, tuple(record.name for record in records if record not in found))
+
+
+def _read_records(path: Path) -> tuple[MeasuredRecord, ...]:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError:
@@ -113,14 +141,15 @@ def read_table(data: Path, table: Path | None = None) -> MeasuredTable:
         records = _Table.model_validate(content).records
     except ValidationError as error:
         raise _refusal(path, error) from None
-    found = MeasuredTable(records, data)
     for record in records:
         if "file" in record.begin and record.machine is None:
             raise InputError(path, f"{record.name}: begin", list(record.begin), "start, identify: there is no machine")
-        for name in (record.log, record.other):
-            if name is not None and not found.locate(name).is_file():
-                raise InputError(path, f"{record.name}: log", name, f"a file in {data}")
-    return found
+    return records
+
+
+def _missing(record: MeasuredRecord, data: Path) -> list[str]:
+    """Return the logs of a record that are no files of the folder."""
+    return [name for name in (record.log, record.other) if name is not None and not (data / name).is_file()]
 
 
 def _refusal(path: Path, error: ValidationError) -> InputError:
