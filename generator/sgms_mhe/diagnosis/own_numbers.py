@@ -9,16 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn
-from sgms_mhe.model.effects import cause
+from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
+def is_of_record(name: str, recording: Recording) -> bool:
+    """Return True if a cause belongs to a record more than to the axis; a mass does where each moves a payload."""
+    moves_mass = name in EFFECT_NAMES and bool(effect_definition(name).adds_mass)
+    return cause(name).of_record or (moves_mass and recording.has_payload)
+
+
 @dataclass(frozen=True, eq=False)
 class OwnNumbers:
-    """Numbers of each log: an offset; and, about the mean of all, the base model's numbers of a record.
+    """Numbers of each log: an offset, a stated payload; and, about the mean of all, the base model's of a record.
 
     Attributes:
         columns: derivatives of the friction in them (m, q).
@@ -38,10 +44,13 @@ class OwnNumbers:
         """
         if recording.of_log is None:
             return None
-        own = [i for i, c in enumerate(model) if not c.group.is_candidate and cause(c.group.cause).of_record]
+        own = [i for i, c in enumerate(model) if not c.group.is_candidate and is_of_record(c.group.cause, recording)]
         inside = recording.of_log[:, None] == np.arange(int(recording.of_log[-1]) + 1)
         apart = inside[:, 1:].astype(np.float64) - inside[:, :1]
-        columns = np.column_stack((inside, (jacobian[:, own, None] * apart[:, None, :]).reshape(len(residual), -1)))
+        about = (jacobian[:, own, None] * apart[:, None, :]).reshape(len(residual), -1)
+        columns = np.column_stack((inside, about))
+        if recording.has_payload:
+            columns = np.column_stack((columns, recording.acceleration[:, None] * inside))
         return cls(columns, columns @ np.linalg.lstsq(columns[seen], residual[seen], rcond=1e-9)[0])
 
     def project(self, series: Array, seen: Mask) -> Array:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from sgms_mhe.diagnosis.alignment import align
 from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, Fit, Subject
 from sgms_mhe.diagnosis.models import CompiledFit, LeastSquares, ModelPoint, Prior
+from sgms_mhe.diagnosis.own_numbers import is_of_record
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition, reported_name
-from sgms_mhe.model.effects import cause as cause_definition
+from sgms_mhe.model.effects import EFFECT_NAMES, reported_name
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording, Runs
 
@@ -39,7 +39,7 @@ class RecordFit:
     def of(cls, subject: Subject) -> RecordFit:
         """The machine of a subject, beside it the effects that belong to a record and that it has not."""
         own = {effect.name for effect in subject.machine.effects}
-        names = [name for name in EFFECT_NAMES if effect_definition(name).of_record and name not in own]
+        names = [name for name in EFFECT_NAMES if is_of_record(name, subject.recording) and name not in own]
         effects = tuple(CandidateEffect(name, {}) for name in names)
         model = subject.model(effects)
         theta = np.array([c.theta(c.none) if c.group.is_candidate else c.machine_theta for c in model.columns])
@@ -47,8 +47,9 @@ class RecordFit:
 
     def free(self, fixed: str = "") -> Mask:
         """Numbers that belong to the record (n_p), but those of a cause under judgement."""
+        recording = self.subject.recording
         return np.array(
-            [cause_definition(c.group.cause).of_record and c.group.cause != fixed for c in self.model.columns],
+            [is_of_record(c.group.cause, recording) and c.group.cause != fixed for c in self.model.columns],
             dtype=np.bool_,
         )
 

@@ -27,11 +27,11 @@ from sgms_mhe.diagnosis.learned import LearnedRecord
 from sgms_mhe.diagnosis.learned_machine import judge_learned
 from sgms_mhe.diagnosis.origin import A_PERIOD, find_pitches, find_reach, search_origin
 from sgms_mhe.diagnosis.other_record import JudgedRecord, Origin, TransferredCause
+from sgms_mhe.diagnosis.own_numbers import is_of_record
 from sgms_mhe.diagnosis.preparation import prepare_log
 from sgms_mhe.diagnosis.record_fit import RecordFit, shift_position
 from sgms_mhe.diagnosis.result import Cause, Diagnosis
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import gain_force, gain_interval, noise_floor
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log
@@ -78,7 +78,11 @@ def judge_on_records(
         for record in asked
     ]
     others_say = [record for record, _ in judged]
-    causes = tuple(replace(cause, transfers=_holds(cause, others_say, together)) for cause in found.causes)
+    own = [together and is_of_record(cause.name, records[0].recording) for cause in found.causes]
+    causes = tuple(
+        replace(cause, transfers=None if alone else _holds(cause, others_say, together))
+        for cause, alone in zip(found.causes, own, strict=True)
+    )
     log_decision(
         "records",
         "a cause transfers where its force, by the other records, gains on one that shows it, and loses on none",
@@ -131,10 +135,8 @@ def _holds(cause: Cause, records: Sequence[JudgedRecord], together: bool) -> boo
 
     Of the first record it holds where one of the further ones confirms and none refutes it. Of all records together it
     may be weak on each: it gains on all of them as one, and none refutes it; a cause that one alone shows says nothing
-    of the others. What belongs to a record has another size in each.
+    of the others.
     """
-    if together and cause_definition(cause.name).of_record:
-        return None
     shown = [t for record in records for t in record.causes if t.label == cause.label and t.is_shown]
     gain = sum(math.copysign(t.gain_N**2, t.gain_N) for t in shown)
     confirmed = gain > 0.0 if together else any(t.gain_interval_N[0] > 0.0 for t in shown)

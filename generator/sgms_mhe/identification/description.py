@@ -224,7 +224,8 @@ def mass_number(
     if given is None:
         if seen is None:  # refused before
             raise ValueError("neither a mass nor a motion that shows one")
-        return Number("mass", adopted, seen.std, True, f"of the motion, as the {units.push}'s scale has it"), ()
+        std = math.hypot(seen.std, seen.spread)
+        return Number("mass", adopted, std, True, f"of the motion, as the {units.push}'s scale has it"), ()
     if seen is None:
         sentence = f"{inert}: as given, the motion does not show it. Needed: {MOVES['jerks']} (sgms-mhe plan)"
         return Number("mass", adopted, math.nan, False, "as given; the motion does not show it"), (sentence,)

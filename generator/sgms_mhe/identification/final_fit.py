@@ -167,6 +167,8 @@ def make_final_fit(
     if noise_share(views.fine, fit) > MASS_NOISE:
         mass = None
     numbers = add_spread(views.fine, fit, quantities(fit, cov))
+    if mass is not None and "mass" in numbers:
+        mass = replace(mass, spread=numbers["mass"].spread)
     if "viscous" in dropped:  # held at 0 it would make the level look surer than it is
         numbers["coulomb"] = replace(numbers["coulomb"], std=wide["coulomb"].std)
     rows = views.fine.rows

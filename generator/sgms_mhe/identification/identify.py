@@ -262,7 +262,7 @@ def _separate_records(
         anew = {term.name: term for term in _record_terms(records, spectrum)}
         own = [anew[name] for name in names]
         spectrum = find_spectrum(records, (*own, *base, *beside), noise, grid)
-    log_decision("records", "offset, level and damping of each record, where they leave clearly less", own=names)
+    log_decision("records", "what belongs to each record, where it leaves clearly less", own=names)
     return records, (*own, *base), spectrum
 
 
@@ -400,7 +400,9 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
                 None,
                 f"--{units.inert}: the motion does not show it; or a log with {MOVES['jerks']}, which do",
             )
-        adopted = given if given is not None and (seen is None or "mass" not in final.numbers) else seen
+        # A payload beside the mass that was given does not contradict it.
+        stays = seen is None or "mass" not in final.numbers or views.fine.rows.has_payload
+        adopted = given if given is not None and stays else seen
         mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
         mass, said = mass_number(final, given, mass_kg, units)
     unexcited = list_unexcited(explored.measured)
@@ -456,5 +458,8 @@ def measurement_noise(machine: Machine, logs: Sequence[Log]) -> float:
     for log in logs:
         signals = signals_of_record(log, machine)
         rest = (signals.friction - model.predict(signals).friction_N)[signals.valid]
+        if log.payload:  # which an estimator is told
+            a = signals.acceleration[signals.valid]
+            rest = rest - a * float(a @ rest) / max(float(a @ a), np.finfo(float).tiny)
         total, count = total + float(rest @ rest), count + len(rest)
     return max(float(np.sqrt(total / max(count, 1))), LEAST_NOISE * machine.friction.coulomb)

@@ -1,4 +1,4 @@
-"""Offset, level and damping of each of several records beside a fit that has their means."""
+"""Offset, level, damping and moved mass of each of several records beside a fit that has their means."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from sgms_mhe.identification.search import Views
 from sgms_mhe.identification.terms import (
     DAMPING_OF_RECORD,
     LEVEL_OF_RECORD,
+    MASS_OF_RECORD,
     OFFSET_OF_RECORD,
     Term,
     record_sizes,
@@ -31,8 +32,12 @@ def fit_record_terms(views: Views, fit: AxisFit) -> tuple[Term, ...]:
 
 
 def add_spread(view: RecordView, fit: AxisFit, numbers: dict[str, NumberEstimate]) -> dict[str, NumberEstimate]:
-    """Return the numbers, level and damping with the spread of those of the records about them."""
-    own = {"coulomb": find_record_levels(view, fit), "viscous": record_sizes(fit.coefficient(DAMPING_OF_RECORD))}
+    """Return the numbers, what belongs to a record with the spread of those of the records about them."""
+    own = {
+        "coulomb": find_record_levels(view, fit),
+        "viscous": record_sizes(fit.coefficient(DAMPING_OF_RECORD)),
+        "mass": record_sizes(fit.coefficient(MASS_OF_RECORD)),
+    }
     for name, values in own.items():
         if len(values) > 1 and name in numbers:
             numbers[name] = replace(numbers[name], spread=float(np.std(values, ddof=1)))
@@ -49,7 +54,8 @@ def find_record_levels(view: RecordView, fit: AxisFit) -> Array:
 
 def list_record_numbers(names: Sequence[str], view: RecordView, fit: AxisFit, units: Units) -> tuple[str, ...]:
     """Return the sentences on what each record has of its own; the file has the means."""
-    offsets, damping = (record_sizes(fit.coefficient(name)) for name in (OFFSET_OF_RECORD, DAMPING_OF_RECORD))
+    kinds = (OFFSET_OF_RECORD, DAMPING_OF_RECORD, MASS_OF_RECORD)
+    offsets, damping, mass = (record_sizes(fit.coefficient(name)) for name in kinds)
     stated = (
         ("offset beside the mean", offsets, units.force),
         ("Coulomb level", find_record_levels(view, fit), units.force),
@@ -61,4 +67,8 @@ def list_record_numbers(names: Sequence[str], view: RecordView, fit: AxisFit, un
             pairs = zip(names, values.tolist(), strict=True)
             each = ", ".join(f"{value:.4g} {unit} in {record}" for record, value in pairs)
             said.append(f"{name}: {each}; the file has the mean over records")
+    if len(mass):
+        total = view.rows.machine.plant.moved + float(fit.coefficient("mass").sum()) + mass
+        each = ", ".join(f"{m:.4g} {units.mass} in {name}" for name, m in zip(names, total.tolist(), strict=True))
+        said.append(f"{units.inert}, payload included: {each}")
     return tuple(said)

@@ -31,7 +31,9 @@ LEVEL_OF_RECORD: Final = "record_level"
 """Name of the same of the Coulomb level [N]."""
 DAMPING_OF_RECORD: Final = "record_damping"
 """Name of the same of the damping [N s/m]."""
-OF_RECORD: Final = (OFFSET_OF_RECORD, LEVEL_OF_RECORD, DAMPING_OF_RECORD)
+MASS_OF_RECORD: Final = "record_mass"
+"""Name of the same of the moved mass [kg], where each record moves a payload."""
+OF_RECORD: Final = (OFFSET_OF_RECORD, LEVEL_OF_RECORD, DAMPING_OF_RECORD, MASS_OF_RECORD)
 LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, HELD, PLACE, *OF_RECORD)
 """Names of terms that are no effects."""
 BENDS: Final = (2, 3, 4, 5)
@@ -106,9 +108,10 @@ def record_terms(rows: Recording, lengths: Sequence[int], sliding: Array) -> tup
         return ()
     each = np.repeat(np.eye(len(lengths)), lengths, axis=0)
     apart = each[:, :-1] - each[:, -1:]
-    velocity = viscous_term(rows).columns
-    columns = (apart, sliding[:, None] * apart, velocity * apart)
-    return tuple(Term(name, column) for name, column in zip(OF_RECORD, columns, strict=True))
+    slopes = [np.ones((len(apart), 1)), sliding[:, None], viscous_term(rows).columns]
+    if rows.has_payload:
+        slopes.append(mass_term(rows).columns)
+    return tuple(Term(name, slope * apart) for name, slope in zip(OF_RECORD, slopes, strict=False))
 
 
 def record_sizes(coefficients: Array) -> Array:

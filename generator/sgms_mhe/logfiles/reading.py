@@ -61,6 +61,7 @@ class LogContent:
         resampling: of uneven time, where [log] asks for it; else None.
         columns: the quantities (n,) by their columns' names, in SI units, on the grid where there is one.
         notes: sentences on what was left out or changed.
+        payload: whether each record moves a mass of its own, as [log] says.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class LogContent:
     resampling: Resampling | None
     columns: Mapping[str, Array]
     notes: tuple[str, ...] = ()
+    payload: bool = False
 
 
 def read_log(path: str | Path, machine: Machine | None = None) -> Log:
@@ -134,7 +136,8 @@ def understand_table(
         resampling = resample(path, columns, timing, rate)
         columns = dict(resampling.columns)
         say(resampling.note)
-    return LogContent(path, table, kind, sources, timing, resampling, columns, tuple(notes))
+    payload = mapping is not None and mapping.payload
+    return LogContent(path, table, kind, sources, timing, resampling, columns, tuple(notes), payload)
 
 
 def _drop_repeats(columns: dict[str, Array], table: Table, say: Note) -> tuple[dict[str, Array], Table]:
@@ -179,7 +182,13 @@ def log_of(reading: LogContent, machine: Machine | None = None) -> Log:
     if reading.resampling is None:
         check_uniform(reading.path, reading.columns["time_s"], reading.timing, reading.table.row)
     rate = reading.timing.rate if reading.resampling is None else reading.resampling.rate
-    log = Log(**fields_of_log(reading.kind, reading.columns), rate=rate, source=str(reading.path), kind=reading.kind)
+    log = Log(
+        **fields_of_log(reading.kind, reading.columns),
+        rate=rate,
+        source=str(reading.path),
+        kind=reading.kind,
+        payload=reading.payload,
+    )
     if machine is not None:
         check_rate(log, machine)
     return log

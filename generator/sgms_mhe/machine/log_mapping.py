@@ -128,6 +128,7 @@ class LogMapping(_Spare):
     )
     resample: bool = text("uneven time, or another rate, interpolated to the machine's", "true or false", False)
     homed: bool = text("position means the same in every record: absolute, or homed", "true or false", False)
+    payload: bool = text("each record moves a payload of its own, which nobody knows", "true or false", False)
     separator: Literal[",", ";", "\t", "|", " "] | None = text(
         "between the fields of a text", "one of , ; | tab, or a space for any number of them", None
     )

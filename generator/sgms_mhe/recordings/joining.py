@@ -46,6 +46,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         signals=Signals(**signals, delay=first.signals.delay),
         block=np.concatenate(blocks),
         warnings=tuple(w for r in recordings for w in r.warnings),
+        has_payload=any(r.has_payload for r in recordings),
         of_log=np.repeat(np.arange(len(recordings)), [len(r.time) for r in recordings]),
         runs=Runs(),
     )

@@ -120,6 +120,7 @@ class Recording:
         is_filtered: whether friction has passed the chain's low-passes; not that of a log that brings velocity as well.
         is_smeared: whether the chain's low-passes change friction more than the noise hides: its force then passes
             them, not its motion.
+        has_payload: whether each log moves a mass of its own beside the axis.
         of_log: which of several logs, one behind the other, each row is of (m); None: there is one.
         runs: the newest ones of models along it; copies share them.
     """
@@ -146,6 +147,7 @@ class Recording:
     has_own_speeds: bool = False
     is_filtered: bool = True
     is_smeared: bool = True
+    has_payload: bool = False
     of_log: Index | None = None
     runs: Runs = field(default_factory=Runs, repr=False)
 
@@ -278,6 +280,7 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
         recording,
         has_own_speeds=log.velocity_m_s is not None or log.acceleration_m_s2 is not None,
         is_filtered=log.velocity_m_s is None or log.friction_N is None,
+        has_payload=log.payload and not log.is_friction_alone,
     )
     return recording if held_out_s is None else _hold_out(recording, held_out_s)
 

@@ -31,7 +31,8 @@ class Log:
     """A log in SI units; all arrays (n,), NaN where a sample is missing (never in time_s).
 
     Of a rotary axis `position_m` is its angle [rad], `force_N` the torque [N m], and so on: `kind` says which it is.
-    `rate` [Hz] is measured from time_s. The optional columns are used in place of what would be computed.
+    `rate` [Hz] is measured from time_s. The optional columns are used in place of what would be computed. `payload`:
+    whether it moves a mass of its own beside the axis, as `[log] payload` says.
     """
 
     time_s: Array
@@ -44,6 +45,7 @@ class Log:
     temperature_degC: Array | None = None
     source: str = ""
     kind: Kind = "linear"
+    payload: bool = False
 
     def __len__(self) -> int:
         return len(self.time_s)

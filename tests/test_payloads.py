@@ -1,0 +1,96 @@
+"""Records of one axis that each move a payload of their own: `[log] payload = true`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cli_cases import SMALL
+from sgms_mhe.api.inputs import read_log
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.diagnosis import diagnose
+from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.diagnosis.preparation import prepare_logs
+from sgms_mhe.identification.identify import Wanted, identify
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.logs import Log, write_log
+
+Hidden = tuple[str, Mapping[str, float]]
+RIPPLE: Hidden = ("force_ripple", {"amplitude_N": 1.2, "pitch_m": 0.0171, "phase_rad": 0.4})
+PAYLOADS_kg = (0.0, 6.0, 2.0)
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    path = tmp_path_factory.mktemp("machine") / "small.toml"
+    path.write_text(SMALL)
+    return load_machine(path)
+
+
+def recorded(
+    machine: Machine, seed: int, payload_kg: float, hidden: Sequence[Hidden] = (), *, stated: bool = True
+) -> Log:
+    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
+    hidden = [*hidden, *([("mass_mismatch", {"mass_kg": payload_kg})] if payload_kg else [])]
+    log = simulate_axis(machine, trajectory, AxisConfig(seed=seed), hidden_effects=hidden, truth=False).log
+    return replace(log, source=f"record {seed}", payload=stated)
+
+
+def test_a_payload_is_stated_in_the_table_of_a_log(machine: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    write_log(path, recorded(machine, 1, 0.0, stated=False))
+    assert not read_log(path, machine).payload
+    log = read_log(path, table={"payload": True})
+    assert log.payload and log.part(0.0, 2.0).payload
+
+
+def test_a_stated_payload_is_no_residual_of_all_records(machine: Machine) -> None:
+    left = []
+    for stated in (True, False):
+        logs = [recorded(machine, k, m, stated=stated) for k, m in enumerate(PAYLOADS_kg)]
+        subject = Subject.of(machine, prepare_logs(machine, logs, None).recording)
+        left.append(fit_model(subject, ()).rms)
+    with_payload, without = left
+    alone = fit_model(Subject.of(machine, prepare_logs(machine, logs[:1], None).recording), ()).rms
+    assert with_payload < 1.3 * alone  # the age of the force, which grows with what is moved
+    assert without > 10.0 * alone
+
+
+@pytest.mark.slow
+def test_a_cause_transfers_to_records_with_other_payloads(machine: Machine) -> None:
+    first, *others = (recorded(machine, k, m, [RIPPLE]) for k, m in enumerate(PAYLOADS_kg))
+    found = diagnose(machine, first, others=others)
+    assert found.verdict == "explained"
+    assert {cause.label: cause.transfers for cause in found.causes} == {"force_ripple": True}
+    moved = [record.own["mass_mismatch.mass_kg"] for record in found.records]
+    assert moved == pytest.approx(PAYLOADS_kg, abs=0.02)
+    assert found.extended is not None and found.extended.plant.moved == machine.plant.moved
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", [None, 20.0])
+def test_identification_frees_the_mass_of_each_record(machine: Machine, given: float | None) -> None:
+    logs = [recorded(machine, k, m) for k, m in enumerate(PAYLOADS_kg)]
+    found = identify(logs, Wanted("found", given))
+    assert found.held_out_rms_N < 1.3 * found.noise_floor_N
+    (said,) = (w for w in found.warnings if w.startswith("mass, payload included"))
+    masses = {name: float(size) for size, name in re.findall(r"([\d.]+) kg in (record \d)", said)}
+    truth = machine.plant.moved
+    assert masses == pytest.approx({f"record {k}": truth + m for k, m in enumerate(PAYLOADS_kg)}, rel=0.005)
+    (mass,) = (number for number in found.numbers if number.name == "mass")
+    assert found.machine.plant.moved == pytest.approx(mass.value, rel=1e-3)  # the digits of a file
+    if given is None:  # the mean of all, as unsure of another record as they differ
+        assert mass.value == pytest.approx(truth + 8.0 / 3.0, rel=0.005)
+        assert mass.std == pytest.approx(3.06, rel=0.05)
+    else:
+        assert mass.value == given
+    assert found.machine.friction.stiffness == pytest.approx(machine.friction.stiffness, rel=0.02)
+    # The weights do not take a payload, which an estimator is told, for noise: 0.53 N without any, several N with.
+    assert found.machine.estimator.noise.measurement < 0.7
