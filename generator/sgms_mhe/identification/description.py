@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.identification.elements import NO_RISE
-from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
+from sgms_mhe.identification.final_fit import FinalIdentification, is_apart, late_force
 from sgms_mhe.identification.fits import (
     AxisFit,
     NumberEstimate,
@@ -18,7 +18,6 @@ from sgms_mhe.identification.fits import (
     Shape,
     distance_limits,
     fit_axis,
-    largest_noise_bias,
 )
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import ChosenModel, is_better
@@ -45,10 +44,6 @@ OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
 SURE: Final = 2.0
 """Standard deviations below its value that a stiffness surely has."""
-FAST: Final = 0.5
-"""Speed over its RMS from which on a row is away from reversals."""
-MOST: Final = 0.5
-"""Share of a delay that such rows alone must show."""
 CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "coulomb": ("coulomb",),
     "viscous": ("viscous",),
@@ -320,27 +315,15 @@ def list_misfit(residual: float, floor: float, units: Units) -> list[str]:
 
 
 def _late(final: FinalIdentification, view: RecordView, units: Units) -> list[str]:
-    """Return the sentence on force and position that are apart in time: no number holds it, and no machine either.
-
-    It is true of all of the force, so most of it is there away from reversals too: friction that follows the speed
-    gradually looks the same about one. No delay is what a controller that answers to the steps of an encoder may make
-    of the term, nor less than a sample: a drive that holds its force over one has it half a sample late, or early, as
-    it is logged.
-    """
-    rows, fit, place = view.rows, final.fit, final.fit.place(LATE)
-    late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(final.cov[place.start, place.start]))
-    size = abs(late) * float(np.std(fit.jacobian[rows.used, place.start]))
-    told = rows.machine.sampling.step + largest_noise_bias(view, fit, LATE)
-    if abs(late) <= CERTAIN * std + told or size <= fit.rms:
+    """Return the sentence on force and position that are apart in time: no number holds it, and no machine either."""
+    if not is_apart(final.fit, final.cov, view):
         return []
-    fast = rows.used & (np.abs(rows.velocity) >= FAST * np.sqrt(np.mean(rows.velocity[rows.used] ** 2)))
-    away = fit_axis(view, fit.terms, fit.shape, fast, iterations=0)
-    if float(away.coefficient(LATE)[0]) / late < MOST:
-        return []
+    late = float(final.fit.coefficient(LATE)[0])
     which = "after" if late > 0.0 else "before"
     return [
-        f"the {units.push} comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: {size:.2g} {units.force} "
-        "rms the file has not; sgms-mhe diagnose tells a delay from a lag"
+        f"the {units.push} comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: "
+        f"{late_force(final.fit, view):.2g} {units.force} rms the file has not; sgms-mhe diagnose tells a delay from "
+        "a lag"
     ]
 
 

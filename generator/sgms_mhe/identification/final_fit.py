@@ -27,6 +27,7 @@ from sgms_mhe.identification.fits import (
     covariance,
     encoder_forces,
     fit_axis,
+    largest_noise_bias,
     noise_share,
     quantities,
 )
@@ -43,6 +44,8 @@ from sgms_mhe.identification.search import (
 )
 from sgms_mhe.identification.spectrum import LARGEST
 from sgms_mhe.identification.terms import (
+    HELD,
+    LATE,
     LAW_AND_SAMPLING,
     LEVEL_OF_RECORD,
     Term,
@@ -65,6 +68,10 @@ CERTAIN: Final = 3.0
 """Standard deviations by which a mass differs from the one that was given."""
 MASS_OFF: Final = 0.02
 """Of the mass that was given: less is what an actuator's lag makes of it."""
+FAST: Final = 0.5
+"""Speed over its RMS from which on a row is away from reversals."""
+MOST: Final = 0.5
+"""Share of a delay that such rows alone must show."""
 MASS_SEEN: Final = 0.2
 """Deviation over value up to which a mass is known."""
 MASS_NOISE: Final = 0.25
@@ -149,9 +156,20 @@ def make_final_fit(
             fit = drop_idle_springs(views, fit)
     fit = drop_empty(views.fine, fit)
     cov = covariance(views.fine, fit)
+    if is_apart(fit, cov, views.fine) is None:
+        log_decision(
+            "numbers",
+            "an error of timing that is none stands for friction that no file has: it is left out",
+            late_s=float(fit.coefficient(LATE)[0]),
+            residual_N=fit.rms,
+        )
+        fit = _fit_without(views.fine, fit, {LATE, HELD})
+        cov = covariance(views.fine, fit)
     wide = quantities(fit, cov)
     mass = _mass(views.fine.rows, wide["mass"])
     dropped = _find_unseen(fit, cov, wide, views.fine.rows.machine.plant.moved if wanted.mass else None)
+    if mass is None and wanted.mass:  # the one that was given is written, whatever the fit would have
+        dropped.add("mass")
     log_decision(
         "numbers",
         "numbers that the records do not show, and a mass that agrees with the one given, are not free",
@@ -159,8 +177,7 @@ def make_final_fit(
         dropped=sorted(dropped),
     )
     if dropped:
-        terms = tuple(term for term in fit.terms if term.name not in dropped)
-        fit = drop_empty(views.fine, fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS))
+        fit = _fit_without(views.fine, fit, dropped)
         cov = covariance(views.fine, fit)
     if not found.decided:
         cov = cov + _law_covariance(views.fine, fit)
@@ -362,6 +379,40 @@ def _mass(rows: Recording, extra: NumberEstimate) -> NumberEstimate | None:
     total = rows.machine.plant.moved + extra.value
     mass = NumberEstimate(total, math.hypot(extra.std, MASS_SURE * total))
     return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
+
+
+def _fit_without(view: RecordView, fit: AxisFit, names: Collection[str]) -> AxisFit:
+    """Return the fit without some of its terms."""
+    terms = tuple(term for term in fit.terms if term.name not in names)
+    return drop_empty(view, fit_axis(view, terms, fit.shape, iterations=FINAL_ITERATIONS))
+
+
+def is_apart(fit: AxisFit, cov: Array, view: RecordView) -> bool | None:
+    """Return True if force and position are apart in time, beyond what sampling makes; None: something looks like it.
+
+    It is true of all of the force, so most of it is there away from reversals too: friction that follows the speed
+    gradually looks the same about one. No delay is what a controller that answers to the steps of an encoder may make
+    of the term, nor less than a sample: a drive that holds its force over one has it half a sample late, or early, as
+    it is logged.
+    """
+    rows, place = view.rows, fit.place(LATE)
+    if place.start == place.stop:
+        return False
+    late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(cov[place.start, place.start]))
+    told = rows.machine.sampling.step + largest_noise_bias(view, fit, LATE)
+    if abs(late) <= told or late_force(fit, view) <= fit.rms:
+        return False
+    if abs(late) <= CERTAIN * std + told:
+        return None
+    fast = rows.used & (np.abs(rows.velocity) >= FAST * np.sqrt(np.mean(rows.velocity[rows.used] ** 2)))
+    away = fit_axis(view, fit.terms, fit.shape, fast, iterations=0)
+    return True if float(away.coefficient(LATE)[0]) / late >= MOST else None
+
+
+def late_force(fit: AxisFit, view: RecordView) -> float:
+    """Return the RMS [N] of what force and position that are apart in time make in a fit."""
+    place, used = fit.place(LATE), view.rows.used
+    return float(np.std(fit.jacobian[used, place.start]) * np.abs(fit.coefficient(LATE)[0]))
 
 
 def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, NumberEstimate], given_mass: float | None) -> set[str]:

@@ -1,0 +1,59 @@
+"""Friction that bends about standstill as a force of another instant would: what is stated is what the file leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sgms_mhe.api.estimation import predict
+from sgms_mhe.evaluation.prediction import force_error
+from sgms_mhe.identification.identify import Wanted, identify
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+INERTIA = 4.8e-6
+RATE = 1000.0
+SECONDS = 13
+LAWS: dict[str, Callable[[Array], Array]] = {
+    "saturating": lambda v: 1.7e-3 * np.tanh(v / 20.0) + 7e-6 * v,
+    "root": lambda v: 2.5e-3 * np.sign(v) * np.sqrt(np.abs(v) / 150.0),
+}
+
+
+def swung_motor(seed: int, friction: Callable[[Array], Array]) -> Log:
+    """A motor swung at 2 Hz, hardly the same amplitude twice, its speed recorded."""
+    random = np.random.default_rng(seed)
+    time = np.arange(int(SECONDS * RATE)) / RATE
+    size = 150.0 * (1.0 + 0.05 * np.interp(time, np.arange(SECONDS + 1), random.standard_normal(SECONDS + 1)))
+    speed = size * np.sin(4.0 * np.pi * time)
+    torque = INERTIA * np.gradient(speed, 1.0 / RATE) + friction(speed)
+    return Log(
+        time,
+        np.cumsum(speed) / RATE,
+        torque + 2e-4 * random.standard_normal(len(time)),
+        RATE,
+        velocity_m_s=speed + 0.5 * random.standard_normal(len(time)),
+        kind="rotary",
+        source=f"motor {seed}",
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", LAWS)
+def test_what_is_stated_is_left_on_another_record(law: str) -> None:
+    """Ten times as much was left: a force twelve samples early had stood for a part of the friction."""
+    found = identify([swung_motor(1, LAWS[law])], Wanted("motor", 5e-6))
+    left = force_error(predict(found.machine, swung_motor(2, LAWS[law]))).residual_rms_N
+    assert left < 1.6 * found.held_out_rms_N
+    assert not any("the motion that it makes" in limit for limit in found.limits)
+
+
+@pytest.mark.slow
+def test_one_frequency_shows_no_inertia_beside_a_spring() -> None:
+    """2.7e-6 kg m^2 was stated for 4.8e-6."""
+    with pytest.raises(InputError, match="--inertia: the motion does not show it"):
+        identify([swung_motor(1, LAWS["saturating"])], Wanted("motor"))
