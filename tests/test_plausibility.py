@@ -16,9 +16,10 @@ from markupsafe import escape
 
 from cli_cases import SMALL, files, refused, run
 from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.identification.sampling import unknown_axis
 from sgms_mhe.logfiles import plausibility
 from sgms_mhe.logfiles.plausibility import check_plausible
-from sgms_mhe.logfiles.reading import read_log
+from sgms_mhe.logfiles.reading import read_log, understand
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -359,3 +360,20 @@ def test_a_scale_is_told_by_a_small_inertia_where_little_else_is_left(machine: M
     factor = float(rng.uniform(30.0, 60.0))
     with pytest.raises(InputError, match=r"scale = 0\.0[123]"):
         check_plausible(replace(right, force_N=factor * right.force_N), quick)
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, False), (1.05, False), (1.3, True), (1.9, True), (0.6, True)])
+def test_a_velocity_of_another_scale_is_said(
+    factor: float, said: bool, machine: Machine, log: Log, tmp_path: Path
+) -> None:
+    """Half a record was left out as too fast where the stamps of an arm were off by two, and nothing was said."""
+    write_log(tmp_path / "log.npz", with_velocity(factor)(log))
+    notes = understand(tmp_path / "log.npz", machine).notes
+    scale = [note for note in notes if "times the rate of change of position_m" in note]
+    assert len(scale) == int(said)
+    assert not said or f"velocity_m_s is {factor:.3g} times" in scale[0]
+
+
+def test_the_fastest_speed_is_that_which_counts(machine: Machine, log: Log) -> None:
+    slow, fast = (unknown_axis([with_velocity(factor)(log)], "axis", 20.0, None) for factor in (1.0, 1.9))
+    assert fast.sampling.max_velocity == pytest.approx(1.9 * slow.sampling.max_velocity, rel=0.1)

@@ -39,6 +39,8 @@ ALIKE: Final = 0.9
 """Correlation with what position says from which a recorded velocity or acceleration is that of this motion."""
 APART: Final = 2.0
 """Factor between the two from which its unit or sign is wrong."""
+SCALED: Final = 1.1
+"""Factor between the two from which it is said: no filter makes as much."""
 STRAIGHT: Final = 1e-9
 """Deviation from a line, over the range: less than any measured signal has."""
 USUAL: Final = 0.98
@@ -250,20 +252,39 @@ def _check_derivatives(log: Log, samples: int) -> None:
             mean = recorded[: count * samples].reshape(count, samples).mean(axis=1)
         else:
             mean = triangular_mean(recorded, samples)
-        both = np.isfinite(mean) & np.isfinite(expected)
-        both[both] = _is_usual(expected[both])
-        mean, expected = mean[both], expected[both]
-        if len(mean) < 3 or not np.std(mean) > 0.0 or not np.std(expected) > 0.0:
-            continue
-        if abs(float(np.corrcoef(mean, expected)[0, 1])) < ALIKE:
-            continue  # noise, or a delay: nothing to judge a unit by
-        ratio = float(mean @ expected / (expected @ expected))
-        if 1.0 / APART <= ratio <= APART:
+        ratio = _size_over(mean, expected)
+        if ratio is None or 1.0 / APART <= ratio <= APART:
             continue
         remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else _unit_near(log, name, ratio) or "scale = ..."
         own, position = log.units.named(name), log.units.named("position_m")
         allowed = f'{own} as {position} has it: [log] (machine file, --log) {own} = {{ variable = "...", {remedy} }}'
         raise _implausible(log, f"column {own}", f"{ratio:.3g} times the rate of change of {position}", allowed)
+
+
+def _size_over(recorded: Array, expected: Array) -> float | None:
+    """Return the size of a recorded series over that of the expected one; None where they are not alike."""
+    both = np.isfinite(recorded) & np.isfinite(expected)
+    both[both] = _is_usual(expected[both])
+    recorded, expected = recorded[both], expected[both]
+    if len(recorded) < 3 or not np.std(recorded) > 0.0 or not np.std(expected) > 0.0:
+        return None
+    if abs(float(np.corrcoef(recorded, expected)[0, 1])) < ALIKE:
+        return None  # noise, or a delay: nothing to judge a unit by
+    return float(recorded @ expected / (expected @ expected))
+
+
+def describe_speed(log: Log) -> str:
+    """Return the sentence on a recorded velocity of another scale than its position, within what is refused; or ''."""
+    if log.velocity_m_s is None:
+        return ""
+    samples = _samples(log, None)
+    count = (len(log) - 1) // samples
+    moved = np.diff(log.position_m[::samples])[:count] * (log.rate / samples)
+    ratio = _size_over(log.velocity_m_s[: count * samples].reshape(count, samples).mean(axis=1), moved)
+    if ratio is None or not 1.0 / APART <= ratio <= APART or 1.0 / SCALED <= ratio <= SCALED:
+        return ""
+    own, position = log.units.named("velocity_m_s"), log.units.named("position_m")
+    return f"{own} is {ratio:.3g} times the rate of change of {position}: one of them, or the time, has another scale"
 
 
 def _unit_near(log: Log, name: str, ratio: float) -> str:

@@ -19,6 +19,7 @@ from sgms_mhe.logfiles.mdf import read_mdf
 from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.numpy_files import read_numpy
 from sgms_mhe.logfiles.parquet import read_feather, read_parquet
+from sgms_mhe.logfiles.plausibility import describe_speed
 from sgms_mhe.logfiles.quantities import integrate, si_values
 from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
@@ -136,6 +137,10 @@ def understand_table(
         resampling = resample(path, columns, timing, rate)
         columns = dict(resampling.columns)
         say(resampling.note)
+    fields = fields_of_log(kind, columns)
+    scaled = describe_speed(Log(**fields, rate=timing.rate if resampling is None else resampling.rate, kind=kind))
+    if scaled:
+        say(scaled)
     payload = mapping is not None and mapping.payload
     return LogContent(path, table, kind, sources, timing, resampling, columns, tuple(notes), payload)
 
