@@ -5,17 +5,20 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from diagnosis_cases import explained
 from sgms_mhe.configuration import law_changes, load_machine, override_machine
-from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
+from sgms_mhe.diagnosis import Diagnosis, diagnose, verdict, write_diagnosis
 from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, plain_friction
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import _thinned
-from sgms_mhe.diagnosis.result import RefutedNumber
+from sgms_mhe.diagnosis.result import RefutedNumber, Rms
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
 from sgms_mhe.identification.elements import Stribeck, least_distance
 from sgms_mhe.machine import Machine
@@ -195,3 +198,17 @@ def test_the_file_is_no_scale_of_a_number_that_the_record_does_not_show() -> Non
     (number,) = (i for i, column in enumerate(fit.model.columns) if column.name == "stiffness_1")
     assert fit.model.columns[number].si(fit.theta[number]) == pytest.approx(stiff, rel=0.1)
     assert standard_deviations(covariance(subject, fit), fit)[number] > 0.5 * stiff
+
+
+@pytest.mark.parametrize(("left", "stands"), [(0.5, "file"), (0.3, "record")])
+def test_a_beginning_that_leaves_more_than_the_file_refutes_nothing(
+    left: float, stands: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A joint's friction, from what identify had found of all of it: 0.059 N m were left instead of 0.048."""
+    machine = load_machine("etel_xy")
+    bare = replace(explained(machine), verdict="unexplained", causes=(), is_rough=True)
+    found = replace(bare, source="record", rms=Rms(1.0, 1.0, 0.4, left))
+    unused: Any = None
+    monkeypatch.setattr(verdict, "_diagnose_aligned", lambda *_: (replace(bare, source="file"), unused))
+    again = verdict._diagnose_again(unused, unused, found, unused, [recorded(machine, "", 1)], None, unused)
+    assert again.source == stands

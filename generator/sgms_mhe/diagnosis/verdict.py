@@ -135,13 +135,20 @@ def _diagnose_again(
         told: of each step.
 
     Returns:
-        A diagnosis from the file where its numbers hold beside the causes, unless it alone is unexplained; the better
-        one of two where numbers identified without them leave less; else `found`.
+        A diagnosis from the file where its numbers hold beside the causes, or leave less than the record's with all
+        that was found, unless it alone is unexplained; the better one of two where numbers identified without them
+        leave less; else `found`.
     """
-    if not found.is_rough:
+    leaves_more = found.rms.held_out_after > found.rms.held_out_before
+    if not found.is_rough or leaves_more:
         again = _diagnose_aligned(file, None, logs, held_out_s, told)[0]
         lost = again.verdict == "unexplained" != found.verdict
-        log_decision("beginning", "the file's numbers hold beside the causes: diagnosed from them", explains_less=lost)
+        log_decision(
+            "beginning",
+            "the file's numbers hold beside the causes, or leave less: diagnosed from them",
+            explains_less=lost,
+            leaves_more=leaves_more,
+        )
         return found if lost else again
     has_force = not all(log.is_friction_alone for log in logs)
     for _ in range(MOST_STARTS):
