@@ -79,7 +79,7 @@ class Learned:
 
     Attributes:
         terms: of its sum.
-        held_out_before, held_out_after: RMS of the residual on held-out blocks without and with it [N].
+        held_out_before, held_out_after: RMS of the residual without and with it, on blocks that it has not seen [N].
         gain_interval: 95 % interval of the share by which it falls [1].
         records: others that it was judged on.
         extended: machine with causes and tables; None: run along the record, none gains what was learned.

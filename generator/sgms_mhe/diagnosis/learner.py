@@ -2,8 +2,7 @@
 
 Penalised cubic B-splines over one coordinate or two, in closed form; they end in zero where the data end. Terms and
 their penalties are selected by cross-validation over segments of the record that are long beside the residual's
-correlation time. The gain is stated on the blocks that no fit has seen, with terms selected, and fitted, without the
-segments around them.
+correlation time. What a segment gains is predicted by terms that were selected, and fitted, without it.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from scipy.linalg import solve
 
 from sgms_mhe.diagnosis.coordinates import Coordinate, Kind, warp_motion
 from sgms_mhe.diagnosis.learned import Learned, LearnedTerm
-from sgms_mhe.recordings.evidence import CONFIDENCE, TINY, difference_statistic
+from sgms_mhe.recordings.evidence import CONFIDENCE, difference_statistic
 from sgms_mhe.recordings.recording import Recording, split_blocks
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.support.decisions import log_decision
@@ -99,7 +98,6 @@ class _Data:
         X: all columns of all candidates (m, p).
         candidates: by which the columns are divided.
         segment: of each row; `fold`: of each segment.
-        held_out: rows that no fit behind `blind` has seen.
         full, blind: residual of the fit of all blocks, and of the one without the held-out ones (m) [N].
         place: of each row among the means of a record, of `every` rows each.
     """
@@ -108,7 +106,6 @@ class _Data:
     candidates: tuple[_Basis, ...]
     segment: Index
     fold: Index
-    held_out: Mask
     full: Array
     blind: Array
     place: Index
@@ -121,15 +118,15 @@ class _Data:
         found = [(self.X[part], residual[part]) for part in parts]
         return _FoldSums(np.stack([A.T @ A for A, _ in found]), np.stack([A.T @ e for A, e in found]))
 
-    def held_out_losses(self, held_out: Mask, blind: Array, predicted: Array) -> tuple[Array, Array]:
-        """Sums of squares before and after a prediction (m), over the record's held-out rows in each segment."""
-        groups = -(-len(blind) // self.every)
+    def losses(self, rows: Mask, residual: Array, predicted: Array) -> tuple[Array, Array]:
+        """Sums of squares of a record's residual before and after a prediction (m), over its rows in each segment."""
+        groups = -(-len(residual) // self.every)
         force, segment = np.zeros(groups), np.zeros(groups, dtype=np.int64)
         force[self.place], segment[self.place] = predicted, self.segment
-        at = np.arange(len(blind))[held_out] // self.every
+        at = np.arange(len(residual))[rows] // self.every
         # A mean that is not learned from belongs to the segment before it.
         own = np.maximum.accumulate(segment)[at]
-        before, after = blind[held_out] ** 2, (blind[held_out] - force[at]) ** 2
+        before, after = residual[rows] ** 2, (residual[rows] - force[at]) ** 2
         there = np.bincount(own, minlength=len(self.fold)) > 0
         sums = (np.bincount(own, weights=series, minlength=len(self.fold)) for series in (before, after))
         first, second = (np.asarray(series[there], dtype=np.float64) for series in sums)
@@ -163,11 +160,11 @@ def learn_residual(recording: Recording, full: Array, blind: Array, *, floor: fl
     chosen = _select(data, sums, everything, data.full, tuple(folds))
     if not chosen:
         return None
-    seen = data.sums(~data.held_out, data.blind)
+    seen = data.sums(everything, data.blind)
     predicted = np.sum(run_parallel([partial(_predict_fold, data, seen, fold) for fold in folds]), axis=0)
-    before, after = data.held_out_losses(held_out, blind, predicted)
+    before, after = data.losses(recording.used, blind, predicted)
     low, high = _gain_interval(before, after)
-    total = float(np.count_nonzero(held_out))
+    total = float(np.count_nonzero(recording.used))
     gain = float((before - after).sum()) / total
     log_decision(
         "learner",
@@ -192,10 +189,9 @@ def _prepare(recording: Recording, full: Array, blind: Array) -> _Data | None:
     """Return the data of a record; None where it is too short, or nothing moves."""
     every = -(-len(recording.time) // ROWS)
     whole = row_means(recording.used.astype(np.float64), every) == 1.0
-    held = row_means(recording.rows_held_out().astype(np.float64), every)
     position, velocity = (row_means(np.nan_to_num(x), every) for x in (recording.position, recording.velocity))
     left, unseen = (row_means(series, every)[whole] for series in (full, blind))
-    if whole.sum() < SEGMENTS[0] or not held[whole].any():
+    if whole.sum() < SEGMENTS[0]:
         return None
     # Along few strokes what goes with time alone looks like a function of place, or of anything slow.
     count = min(SEGMENTS[1], _count_segments(left))
@@ -208,17 +204,14 @@ def _prepare(recording: Recording, full: Array, blind: Array) -> _Data | None:
     if not candidates:
         return None
     fold, _ = split_blocks(count, recording.machine)
-    # A row with a part of both belongs to neither: no fit may have seen a part of what judges.
-    clean = (held[whole] == 0.0) | (held[whole] == 1.0)
     return _Data(
-        X=X[clean],
+        X=X,
         candidates=candidates,
-        segment=segment[clean],
+        segment=segment,
         fold=fold,
-        held_out=held[whole][clean] == 1.0,
-        full=left[clean],
-        blind=unseen[clean],
-        place=np.flatnonzero(whole)[clean],
+        full=left,
+        blind=unseen,
+        place=np.flatnonzero(whole),
         every=every,
     )
 
@@ -350,25 +343,22 @@ def _cross_residual(
 
 
 def _predict_fold(data: _Data, seen: _FoldSums, fold: int) -> Array:
-    """Force (m) [N] at held-out rows of a fold, by terms that were selected and fitted on seen rows of the others."""
+    """Force (m) [N] at the rows of a fold, by terms that were selected and fitted on those of the others."""
     others = tuple(f for f in range(len(seen.g)) if f != fold)
     inside = data.fold[data.segment] == fold
-    rows = ~data.held_out & ~inside
-    chosen = _select(data, seen, rows, data.blind, others)
+    chosen = _select(data, seen, ~inside, data.blind, others)
     if not chosen:
         return np.zeros(len(data.segment))
-    return _predict(data, chosen, _solve(seen, chosen, others), data.held_out & inside)
+    return _predict(data, chosen, _solve(seen, chosen, others), inside)
 
 
 def _gain_interval(before: Array, after: Array) -> tuple[float, float]:
-    """Interval of 1 - sqrt(sum after / sum before), by leaving out one segment at a time (jackknife)."""
-    count = len(before)
-    if count < 3 or not before.sum() > 0.0:
+    """Interval of 1 - sqrt(sum after / sum before), as wide as the test of the losses per segment is unsure."""
+    count, statistic = len(before), difference_statistic(after, before)
+    if count < 3 or statistic == 0.0 or not before.sum() > 0.0:
         return math.nan, math.nan
     share = 1.0 - math.sqrt(float(after.sum() / before.sum()))
-    without = 1.0 - np.sqrt(np.maximum(0.0, after.sum() - after) / np.maximum(TINY, before.sum() - before))
-    deviation = math.sqrt((count - 1) / count * float(np.sum((without - without.mean()) ** 2)))
-    reach = float(stats.t.ppf(0.5 * (1.0 + CONFIDENCE), count - 1)) * deviation
+    reach = float(stats.t.ppf(0.5 * (1.0 + CONFIDENCE), count - 1)) * abs(share / statistic)
     return share - reach, share + reach
 
 
