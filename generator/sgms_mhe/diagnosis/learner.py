@@ -111,10 +111,10 @@ class _Data:
     place: Index
     every: int
 
-    def sums(self, rows: Mask, residual: Array) -> _FoldSums:
-        """Return the normal equations of some rows."""
+    def sums(self, residual: Array) -> _FoldSums:
+        """Return the normal equations of a residual (m)."""
         folds = self.fold[self.segment]
-        parts = [rows & (folds == f) for f in range(int(self.fold.max()) + 1)]
+        parts = [folds == f for f in range(int(self.fold.max()) + 1)]
         found = [(self.X[part], residual[part]) for part in parts]
         return _FoldSums(np.stack([A.T @ A for A, _ in found]), np.stack([A.T @ e for A, e in found]))
 
@@ -156,11 +156,11 @@ def learn_residual(recording: Recording, full: Array, blind: Array, *, floor: fl
         return None
     everything = np.ones(len(data.segment), dtype=np.bool_)
     folds = range(int(data.fold.max()) + 1)
-    sums = data.sums(everything, data.full)
+    sums = data.sums(data.full)
     chosen = _select(data, sums, everything, data.full, tuple(folds))
     if not chosen:
         return None
-    seen = data.sums(everything, data.blind)
+    seen = data.sums(data.blind)
     predicted = np.sum(run_parallel([partial(_predict_fold, data, seen, fold) for fold in folds]), axis=0)
     before, after = data.losses(recording.used, blind, predicted)
     low, high = _gain_interval(before, after)

@@ -56,19 +56,18 @@ def list_record_numbers(names: Sequence[str], view: RecordView, fit: AxisFit, un
     """Return the sentences on what each record has of its own; the file has the means."""
     kinds = (OFFSET_OF_RECORD, DAMPING_OF_RECORD, MASS_OF_RECORD)
     offsets, damping, mass = (record_sizes(fit.coefficient(name)) for name in kinds)
+    mean = "; the file has the mean over records"
+    if len(mass):
+        mass = mass + view.rows.machine.plant.moved + float(fit.coefficient("mass").sum())
     stated = (
-        ("offset beside the mean", offsets, units.force),
-        ("Coulomb level", find_record_levels(view, fit), units.force),
-        ("damping", damping + float(fit.coefficient("viscous").sum()), units.damping),
+        ("offset beside the mean", offsets, units.force, mean),
+        ("Coulomb level", find_record_levels(view, fit), units.force, mean),
+        ("damping", damping + float(fit.coefficient("viscous").sum()), units.damping, mean),
+        (f"{units.inert}, payload included", mass, units.mass, ""),
     )
     said = []
-    for name, values, unit in stated:
+    for name, values, unit, end in stated:
         if len(values) > 1:
             pairs = zip(names, values.tolist(), strict=True)
-            each = ", ".join(f"{value:.4g} {unit} in {record}" for record, value in pairs)
-            said.append(f"{name}: {each}; the file has the mean over records")
-    if len(mass):
-        total = view.rows.machine.plant.moved + float(fit.coefficient("mass").sum()) + mass
-        each = ", ".join(f"{m:.4g} {units.mass} in {name}" for name, m in zip(names, total.tolist(), strict=True))
-        said.append(f"{units.inert}, payload included: {each}")
+            said.append(f"{name}: {', '.join(f'{value:.4g} {unit} in {record}' for record, value in pairs)}{end}")
     return tuple(said)

@@ -8,7 +8,7 @@ The limits are far from anything that a real axis, a wrong number of the machine
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -239,8 +239,8 @@ def _motion(log: Log, samples: int) -> _Motion:
     return _Motion(log.position_m, log.force_N, samples, log.rate)
 
 
-def _check_derivatives(log: Log, samples: int) -> None:
-    """Refuse a recorded velocity or acceleration whose sign or unit is not that of the recorded position."""
+def _derivative_sizes(log: Log, samples: int) -> Iterator[tuple[str, float]]:
+    """Yield the recorded velocity and acceleration that are alike what the position says, and their size over that."""
     per_second, nodes = log.rate / samples, log.position_m[::samples]
     count = (len(log) - 1) // samples
     moved = np.diff(nodes)[:count] * per_second
@@ -253,7 +253,14 @@ def _check_derivatives(log: Log, samples: int) -> None:
         else:
             mean = triangular_mean(recorded, samples)
         ratio = _size_over(mean, expected)
-        if ratio is None or 1.0 / APART <= ratio <= APART:
+        if ratio is not None:
+            yield name, ratio
+
+
+def _check_derivatives(log: Log, samples: int) -> None:
+    """Refuse a recorded velocity or acceleration whose sign or unit is not that of the recorded position."""
+    for name, ratio in _derivative_sizes(log, samples):
+        if 1.0 / APART <= ratio <= APART:
             continue
         remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else _unit_near(log, name, ratio) or "scale = ..."
         own, position = log.units.named(name), log.units.named("position_m")
@@ -273,15 +280,11 @@ def _size_over(recorded: Array, expected: Array) -> float | None:
     return float(recorded @ expected / (expected @ expected))
 
 
-def describe_speed(log: Log) -> str:
+def note_speed_scale(log: Log) -> str:
     """Return the sentence on a recorded velocity of another scale than its position, within what is refused; or ''."""
-    if log.velocity_m_s is None:
-        return ""
-    samples = _samples(log, None)
-    count = (len(log) - 1) // samples
-    moved = np.diff(log.position_m[::samples])[:count] * (log.rate / samples)
-    ratio = _size_over(log.velocity_m_s[: count * samples].reshape(count, samples).mean(axis=1), moved)
-    if ratio is None or not 1.0 / APART <= ratio <= APART or 1.0 / SCALED <= ratio <= SCALED:
+    sizes = _derivative_sizes(log, _samples(log, None))
+    ratio = next((size for name, size in sizes if name == "velocity_m_s"), 1.0)
+    if not 1.0 / APART <= ratio <= APART or 1.0 / SCALED <= ratio <= SCALED:
         return ""
     own, position = log.units.named("velocity_m_s"), log.units.named("position_m")
     return f"{own} is {ratio:.3g} times the rate of change of {position}: one of them, or the time, has another scale"

@@ -19,7 +19,7 @@ from sgms_mhe.logfiles.mdf import read_mdf
 from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.numpy_files import read_numpy
 from sgms_mhe.logfiles.parquet import read_feather, read_parquet
-from sgms_mhe.logfiles.plausibility import describe_speed
+from sgms_mhe.logfiles.plausibility import note_speed_scale
 from sgms_mhe.logfiles.quantities import integrate, si_values
 from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
@@ -74,6 +74,17 @@ class LogContent:
     columns: Mapping[str, Array]
     notes: tuple[str, ...] = ()
     payload: bool = False
+
+    @property
+    def log(self) -> Log:
+        """The quantities as a log, which nothing has checked."""
+        return Log(
+            **fields_of_log(self.kind, self.columns),
+            rate=self.timing.rate if self.resampling is None else self.resampling.rate,
+            source=str(self.path),
+            kind=self.kind,
+            payload=self.payload,
+        )
 
 
 def read_log(path: str | Path, machine: Machine | None = None) -> Log:
@@ -137,12 +148,12 @@ def understand_table(
         resampling = resample(path, columns, timing, rate)
         columns = dict(resampling.columns)
         say(resampling.note)
-    fields = fields_of_log(kind, columns)
-    scaled = describe_speed(Log(**fields, rate=timing.rate if resampling is None else resampling.rate, kind=kind))
+    payload = mapping is not None and mapping.payload
+    content = LogContent(path, table, kind, sources, timing, resampling, columns, payload=payload)
+    scaled = note_speed_scale(content.log)
     if scaled:
         say(scaled)
-    payload = mapping is not None and mapping.payload
-    return LogContent(path, table, kind, sources, timing, resampling, columns, tuple(notes), payload)
+    return replace(content, notes=tuple(notes))
 
 
 def _drop_repeats(columns: dict[str, Array], table: Table, say: Note) -> tuple[dict[str, Array], Table]:
@@ -186,14 +197,7 @@ def log_of(reading: LogContent, machine: Machine | None = None) -> Log:
         check_kind(reading.path, reading.kind, [source.quantity.column for source in reading.sources], machine)
     if reading.resampling is None:
         check_uniform(reading.path, reading.columns["time_s"], reading.timing, reading.table.row)
-    rate = reading.timing.rate if reading.resampling is None else reading.resampling.rate
-    log = Log(
-        **fields_of_log(reading.kind, reading.columns),
-        rate=rate,
-        source=str(reading.path),
-        kind=reading.kind,
-        payload=reading.payload,
-    )
+    log = reading.log
     if machine is not None:
         check_rate(log, machine)
     return log
