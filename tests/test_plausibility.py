@@ -18,7 +18,7 @@ from cli_cases import SMALL, files, refused, run
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.identification.sampling import unknown_axis
 from sgms_mhe.logfiles import plausibility
-from sgms_mhe.logfiles.plausibility import check_plausible
+from sgms_mhe.logfiles.plausibility import check_plausible, note_speed_scale
 from sgms_mhe.logfiles.reading import read_log, understand
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -372,6 +372,14 @@ def test_a_velocity_of_another_scale_is_said(
     scale = [note for note in notes if "times the rate of change of position_m" in note]
     assert len(scale) == int(said)
     assert not said or f"velocity_m_s is {factor:.3g} times" in scale[0]
+
+
+@pytest.mark.parametrize(("size", "other"), [(1e308, 1.0), (1e160, 1.0), (1.0, 1e200), (1e200, 1e200)])
+def test_the_scale_of_numbers_that_overflow_is_not_judged(size: float, other: float, log: Log) -> None:
+    """A position of 1e308 that changes its sign overflows in its own rate of change: a warning, and a traceback."""
+    signs = np.where(np.arange(len(log)) // 7 % 2, 1.0, -1.0)
+    huge = replace(log, position_m=size * signs, velocity_m_s=other * np.gradient(signs), acceleration_m_s2=other * signs)
+    assert note_speed_scale(huge) == ""
 
 
 def test_the_fastest_speed_is_that_which_counts(machine: Machine, log: Log) -> None:

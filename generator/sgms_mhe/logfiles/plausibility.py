@@ -8,7 +8,7 @@ The limits are far from anything that a real axis, a wrong number of the machine
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -239,8 +239,10 @@ def _motion(log: Log, samples: int) -> _Motion:
     return _Motion(log.position_m, log.force_N, samples, log.rate)
 
 
-def _derivative_sizes(log: Log, samples: int) -> Iterator[tuple[str, float]]:
-    """Yield the recorded velocity and acceleration that are alike what the position says, and their size over that."""
+@np.errstate(over="ignore", invalid="ignore")
+def _derivative_sizes(log: Log, samples: int) -> dict[str, float]:
+    """Sizes of the recorded velocity and acceleration, each over what the position says, where the two are alike."""
+    sizes = {}
     per_second, nodes = log.rate / samples, log.position_m[::samples]
     count = (len(log) - 1) // samples
     moved = np.diff(nodes)[:count] * per_second
@@ -254,12 +256,13 @@ def _derivative_sizes(log: Log, samples: int) -> Iterator[tuple[str, float]]:
             mean = triangular_mean(recorded, samples)
         ratio = _size_over(mean, expected)
         if ratio is not None:
-            yield name, ratio
+            sizes[name] = ratio
+    return sizes
 
 
 def _check_derivatives(log: Log, samples: int) -> None:
     """Refuse a recorded velocity or acceleration whose sign or unit is not that of the recorded position."""
-    for name, ratio in _derivative_sizes(log, samples):
+    for name, ratio in _derivative_sizes(log, samples).items():
         if 1.0 / APART <= ratio <= APART:
             continue
         remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else _unit_near(log, name, ratio) or "scale = ..."
@@ -275,15 +278,14 @@ def _size_over(recorded: Array, expected: Array) -> float | None:
     recorded, expected = recorded[both], expected[both]
     if len(recorded) < 3 or not np.std(recorded) > 0.0 or not np.std(expected) > 0.0:
         return None
-    if abs(float(np.corrcoef(recorded, expected)[0, 1])) < ALIKE:
-        return None  # noise, or a delay: nothing to judge a unit by
+    if not abs(float(np.corrcoef(recorded, expected)[0, 1])) >= ALIKE:
+        return None  # noise, a delay, or too large to square: nothing to judge a unit by
     return float(recorded @ expected / (expected @ expected))
 
 
 def note_speed_scale(log: Log) -> str:
     """Return the sentence on a recorded velocity of another scale than its position, within what is refused; or ''."""
-    sizes = _derivative_sizes(log, _samples(log, None))
-    ratio = next((size for name, size in sizes if name == "velocity_m_s"), 1.0)
+    ratio = _derivative_sizes(log, _samples(log, None)).get("velocity_m_s", 1.0)
     if not 1.0 / APART <= ratio <= APART or 1.0 / SCALED <= ratio <= SCALED:
         return ""
     own, position = log.units.named("velocity_m_s"), log.units.named("position_m")
