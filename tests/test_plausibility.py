@@ -378,7 +378,8 @@ def test_a_velocity_of_another_scale_is_said(
 def test_the_scale_of_numbers_that_overflow_is_not_judged(size: float, other: float, log: Log) -> None:
     """A position of 1e308 that changes its sign overflows in its own rate of change: a warning, and a traceback."""
     signs = np.where(np.arange(len(log)) // 7 % 2, 1.0, -1.0)
-    huge = replace(log, position_m=size * signs, velocity_m_s=other * np.gradient(signs), acceleration_m_s2=other * signs)
+    derivatives = {"velocity_m_s": other * np.gradient(signs), "acceleration_m_s2": other * signs}
+    huge = replace(log, position_m=size * signs, **derivatives)
     assert note_speed_scale(huge) == ""
 
 

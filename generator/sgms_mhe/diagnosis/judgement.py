@@ -22,7 +22,7 @@ from sgms_mhe.diagnosis.result import Verdict
 from sgms_mhe.diagnosis.structure import leaves_curve
 from sgms_mhe.diagnosis.uncertainty import MOSTLY
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import hides_friction
 from sgms_mhe.support.decisions import log_decision
@@ -107,6 +107,8 @@ def judge(final: FinalFit) -> Judged:
         found = restore_undetermined(final, found)
         if verdict == "unexplained" and _leaves_curve(final, found.selection.fit):
             found = replace(found, causes=tuple(replace(c, stands_in=_may_stand_in(c.name)) for c in found.causes))
+        elif any(_is_any_curve(c.name) for c in found.causes):
+            found = replace(found, causes=tuple(replace(c, stands_in=_is_part_of_curve(c.name)) for c in found.causes))
     log_decision(
         "verdict",
         "residual beyond noise is within what a complete explanation may leave, and no curve over speed is left",
@@ -140,6 +142,15 @@ def _without_causes(final: FinalFit, found: Confirmed, plain: Fit) -> Confirmed:
 def _may_stand_in(name: str) -> bool:
     """Return True if a cause beside a residual curve over speed may be a part of it: a machine's number, a curve."""
     return name in BASE_CAUSES or cause_definition(name).over_speed
+
+
+def _is_any_curve(name: str) -> bool:
+    return name not in BASE_CAUSES and effect_definition(name).any_curve
+
+
+def _is_part_of_curve(name: str) -> bool:
+    """Return True if nothing tells a cause from a part of a curve of any shape that is named beside it."""
+    return cause_definition(name).over_speed and not _is_any_curve(name)
 
 
 def _leaves_curve(final: FinalFit, fit: Fit) -> bool:

@@ -52,7 +52,7 @@ class Cause:
         gain_interval_N: 95 % interval of `gain_N` over held-out blocks.
         p_value: of the score test against the model without it, multiplicity included.
         vague: parameters that the record does not determine.
-        stands_in: whether it may stand for a part of a curve over speed of another form, some of which is left.
+        stands_in: whether it may be a part of a curve over speed of another form, which is left or named beside it.
         transfers: whether it holds on the other records; None: there are none, or none of them shows it.
     """
 
@@ -376,7 +376,7 @@ class Diagnosis:
         names = ", ".join(dict.fromkeys(cause.name for cause in self.causes if cause.stands_in))
         if not names:
             return ()
-        return (f"{names}: may stand for a curve over speed of another form, a part of which is left",)
+        return (f"{names}: may be a part of a curve over speed of another form",)
 
     @property
     def contradictions(self) -> tuple[str, ...]:
