@@ -24,16 +24,20 @@ LAWS: dict[str, Callable[[Array], Array]] = {
 }
 
 
-def swung_motor(seed: int, friction: Callable[[Array], Array]) -> Log:
-    """A motor swung at 2 Hz, hardly the same amplitude twice, its speed recorded."""
+def swung_motor(seed: int, friction: Callable[[Array], Array], spring: float = 0.0, faster: float = 0.0) -> Log:
+    """A motor swung at 2 Hz, hardly the same amplitude twice, its speed recorded.
+
+    `spring` [N m]: of a force over the position; `faster`: share of a second swing, of 5 Hz.
+    """
     random = np.random.default_rng(seed)
     time = np.arange(int(SECONDS * RATE)) / RATE
     size = 150.0 * (1.0 + 0.05 * np.interp(time, np.arange(SECONDS + 1), random.standard_normal(SECONDS + 1)))
-    speed = size * np.sin(4.0 * np.pi * time)
-    torque = INERTIA * np.gradient(speed, 1.0 / RATE) + friction(speed)
+    speed = size * (np.sin(4.0 * np.pi * time) + faster * np.sin(10.0 * np.pi * time))
+    position = np.cumsum(speed) / RATE
+    torque = INERTIA * np.gradient(speed, 1.0 / RATE) + friction(speed) + spring * position
     return Log(
         time,
-        np.cumsum(speed) / RATE,
+        position,
         torque + 2e-4 * random.standard_normal(len(time)),
         RATE,
         velocity_m_s=speed + 0.5 * random.standard_normal(len(time)),
@@ -57,3 +61,23 @@ def test_one_frequency_shows_no_inertia_beside_a_spring() -> None:
     """2.7e-6 kg m^2 was stated for 4.8e-6."""
     with pytest.raises(InputError, match="--inertia: the motion does not show it"):
         identify([swung_motor(1, LAWS["saturating"])], Wanted("motor"))
+
+
+@pytest.mark.slow
+def test_one_frequency_shows_no_spring_beside_an_inertia_that_it_does_not_show() -> None:
+    """2.5e-5 +- 0.2e-5 N m/rad were stated of an axis that has no spring: the inertia that was given is 4 % off."""
+    found = identify([swung_motor(1, LAWS["saturating"])], Wanted("motor", 5e-6))
+    numbers = {number.name: number for number in found.numbers}
+    spring = numbers["position_spring.stiffness_N_m"]
+    assert not spring.determined
+    assert spring.std > abs(spring.value)
+    assert any(limit.startswith("position_spring: not determined") and "inertia" in limit for limit in found.limits)
+
+
+@pytest.mark.slow
+def test_two_frequencies_show_a_spring() -> None:
+    found = identify([swung_motor(1, LAWS["saturating"], 1e-4, 0.5)], Wanted("motor", INERTIA))
+    spring = next(number for number in found.numbers if number.name == "position_spring.stiffness_N_m")
+    assert spring.value == pytest.approx(1e-4, rel=0.05)
+    assert spring.std < 0.05 * spring.value
+    assert not any("position_spring: not determined" in limit for limit in found.limits)

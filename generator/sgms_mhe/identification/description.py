@@ -279,6 +279,12 @@ def list_limits(
         for name, others in final.rivals.items()
         for other in others
     ]
+    said += [
+        f"{name}: not determined, this motion does not tell it from the {units.inert}, which is as given. "
+        f"Needed: {MOVES['jerks']} (sgms-mhe plan)"
+        for name in final.beside_mass
+        if name not in final.rivals and any(number.startswith(f"{name}.") for number in unknown)
+    ]
     said += _late(final, view, units)
     travel, fit, smallest = view.rows.extents.travel, final.fit, _smallest(final)
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):

@@ -101,6 +101,7 @@ class FinalIdentification:
         view: the records as they were fitted.
         rivals: effects that explain the records as well as one that was chosen, or that its motion does not tell from
             it, by its name.
+        beside_mass: effects whose deviations are those beside a free mass: the one given is all that speaks for them.
     """
 
     fit: AxisFit
@@ -110,6 +111,7 @@ class FinalIdentification:
     held_out_rms: float
     view: RecordView
     rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    beside_mass: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -176,9 +178,15 @@ def make_final_fit(
         numbers={name: (number.value, number.std) for name, number in wide.items()},
         dropped=sorted(dropped),
     )
+    beside: tuple[str, ...] = ()
     if dropped:
+        free, cov_free = fit, cov
         fit = _fit_without(views.fine, fit, dropped)
         cov = covariance(views.fine, fit)
+        if mass is None and wanted.mass:
+            beside = _beside_mass(free, cov_free, fit, cov)
+            for name in beside:
+                cov[fit.place(name), fit.place(name)] = cov_free[free.place(name), free.place(name)]
     if not found.decided:
         cov = cov + _law_covariance(views.fine, fit)
     if noise_share(views.fine, fit) > MASS_NOISE:
@@ -193,7 +201,7 @@ def make_final_fit(
     judge = fit_axis(views.fine, fit.terms, fit.shape, rows.used & ~held_out, iterations=2)
     held_out_rms = float(np.sqrt(np.mean(judge.residual[held_out] ** 2)))
     rivals = {name: others for name, others in rivals.items() if fit.place(name).stop}
-    return FinalIdentification(fit, cov, numbers, mass, held_out_rms, views.fine, rivals)
+    return FinalIdentification(fit, cov, numbers, mass, held_out_rms, views.fine, rivals, beside)
 
 
 def _law_covariance(view: RecordView, fit: AxisFit) -> Array:
@@ -385,6 +393,16 @@ def _fit_without(view: RecordView, fit: AxisFit, names: Collection[str]) -> Axis
     """Return the fit without some of its terms."""
     terms = tuple(term for term in fit.terms if term.name not in names)
     return drop_empty(view, fit_axis(view, terms, fit.shape, iterations=FINAL_ITERATIONS))
+
+
+def _beside_mass(free: AxisFit, cov_free: Array, fit: AxisFit, cov: Array) -> tuple[str, ...]:
+    """Return the effects that are less sure beside a free mass than beside the one that was given.
+
+    The motion may show their sum alone: at one frequency a spring is what the mass is wrong by.
+    """
+    names = [term.name for term in fit.terms if term.name not in LAW_AND_SAMPLING]
+    places = {name: (free.place(name), fit.place(name)) for name in names}
+    return tuple(name for name, (a, b) in places.items() if cov_free[a, a].trace() > cov[b, b].trace())
 
 
 def is_apart(fit: AxisFit, cov: Array, view: RecordView) -> bool | None:
