@@ -3,47 +3,30 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cli_cases import SMALL
-from sgms_mhe.configuration import load_machine
+from record_cases import recorded, small_axis
 from sgms_mhe.identification.elements import NO_RISE, run_elements
 from sgms_mhe.identification.identify import Wanted, identify
 from sgms_mhe.identification.records import Records, filter_motion, scale_levels
 from sgms_mhe.identification.terms import OF_RECORD, record_sizes, record_terms
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.recording import prepare
-from sgms_mhe.signals.logs import Log
 
 
 @pytest.fixture(scope="module")
-def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
-    path = tmp_path_factory.mktemp("machine") / "small.toml"
-    path.write_text(SMALL)
-    return load_machine(path)
-
-
-def recorded(machine: Machine, seed: int, scale: Mapping[str, float], offset: float) -> Log:
-    """A record of an axis at another temperature, with an offset [N] of its own."""
-    own = [("constant_offset", {"force_N": offset})]
-    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
-    log = simulate_axis(machine, trajectory, AxisConfig(seed=seed), hidden_effects=own, scale=scale, truth=False).log
-    return replace(log, source=f"record {seed}")
+def machine() -> Machine:
+    return small_axis()
 
 
 @pytest.mark.slow
 def test_offset_level_and_damping_are_free_in_each_record(machine: Machine) -> None:
     logs = [
-        recorded(machine, 1, {"coulomb": 0.8, "viscous": 0.7}, 0.5),
-        recorded(machine, 2, {"coulomb": 1.2, "viscous": 1.3}, -0.3),
-        recorded(machine, 3, {}, 0.2),
+        recorded(machine, 1, scale={"coulomb": 0.8, "viscous": 0.7}, offset=0.5),
+        recorded(machine, 2, scale={"coulomb": 1.2, "viscous": 1.3}, offset=-0.3),
+        recorded(machine, 3, offset=0.2),
     ]
     found = identify(logs, Wanted("found", machine.plant.moved))
     truth = machine.friction
@@ -65,7 +48,7 @@ def test_offset_level_and_damping_are_free_in_each_record(machine: Machine) -> N
 
 
 def test_terms_of_records_are_differences_to_their_mean(machine: Machine) -> None:
-    rows = prepare(machine, recorded(machine, 4, {}, 0.1))
+    rows = prepare(machine, recorded(machine, 4, offset=0.1))
     count = len(rows.time)
     sliding = np.sign(rows.velocity)
     assert record_terms(rows, [count], sliding) == ()
@@ -80,7 +63,7 @@ def test_terms_of_records_are_differences_to_their_mean(machine: Machine) -> Non
 
 
 def test_a_level_of_a_record_leaves_stiffness_as_it_is(machine: Machine) -> None:
-    rows = prepare(machine, recorded(machine, 5, {}, 0.1))
+    rows = prepare(machine, recorded(machine, 5, offset=0.1))
     motion = filter_motion(rows)
     records = Records(machine, ("a", "b"), rows, (motion, motion), (motion, motion), 0.0, ())
     scaled = scale_levels(scale_levels(records, [1.0, 3.0]), [1.0, 1.0])

@@ -3,49 +3,38 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cli_cases import SMALL
+from record_cases import RIPPLE, Hidden, recorded, small_axis
 from sgms_mhe.api.inputs import read_log
-from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.preparation import prepare_logs
 from sgms_mhe.identification.identify import Wanted, identify
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
 
-Hidden = tuple[str, Mapping[str, float]]
-RIPPLE: Hidden = ("force_ripple", {"amplitude_N": 1.2, "pitch_m": 0.0171, "phase_rad": 0.4})
 PAYLOADS_kg = (0.0, 6.0, 2.0)
 
 
 @pytest.fixture(scope="module")
-def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
-    path = tmp_path_factory.mktemp("machine") / "small.toml"
-    path.write_text(SMALL)
-    return load_machine(path)
+def machine() -> Machine:
+    return small_axis()
 
 
-def recorded(
-    machine: Machine, seed: int, payload_kg: float, hidden: Sequence[Hidden] = (), *, stated: bool = True
-) -> Log:
-    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
-    hidden = [*hidden, *([("mass_mismatch", {"mass_kg": payload_kg})] if payload_kg else [])]
-    log = simulate_axis(machine, trajectory, AxisConfig(seed=seed), hidden_effects=hidden, truth=False).log
-    return replace(log, source=f"record {seed}", payload=stated)
+def loaded(machine: Machine, hidden: Sequence[Hidden] = (), *, stated: bool = True) -> list[Log]:
+    """Records that each move a payload of their own."""
+    logs = [recorded(machine, k, hidden, payload=size) for k, size in enumerate(PAYLOADS_kg)]
+    return [replace(log, payload=stated) for log in logs]
 
 
 def test_a_payload_is_stated_in_the_table_of_a_log(machine: Machine, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    write_log(path, recorded(machine, 1, 0.0, stated=False))
+    write_log(path, recorded(machine, 1))
     assert not read_log(path, machine).payload
     log = read_log(path, table={"payload": True})
     assert log.payload and log.part(0.0, 2.0).payload
@@ -54,7 +43,7 @@ def test_a_payload_is_stated_in_the_table_of_a_log(machine: Machine, tmp_path: P
 def test_a_stated_payload_is_no_residual_of_all_records(machine: Machine) -> None:
     left = []
     for stated in (True, False):
-        logs = [recorded(machine, k, m, stated=stated) for k, m in enumerate(PAYLOADS_kg)]
+        logs = loaded(machine, stated=stated)
         subject = Subject.of(machine, prepare_logs(machine, logs, None).recording)
         left.append(fit_model(subject, ()).rms)
     with_payload, without = left
@@ -65,7 +54,7 @@ def test_a_stated_payload_is_no_residual_of_all_records(machine: Machine) -> Non
 
 @pytest.mark.slow
 def test_a_cause_transfers_to_records_with_other_payloads(machine: Machine) -> None:
-    first, *others = (recorded(machine, k, m, [RIPPLE]) for k, m in enumerate(PAYLOADS_kg))
+    first, *others = loaded(machine, [RIPPLE])
     found = diagnose(machine, first, others=others)
     assert found.verdict == "explained"
     assert {cause.label: cause.transfers for cause in found.causes} == {"force_ripple": True}
@@ -77,7 +66,7 @@ def test_a_cause_transfers_to_records_with_other_payloads(machine: Machine) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("given", [None, 20.0])
 def test_identification_frees_the_mass_of_each_record(machine: Machine, given: float | None) -> None:
-    logs = [recorded(machine, k, m) for k, m in enumerate(PAYLOADS_kg)]
+    logs = loaded(machine)
     found = identify(logs, Wanted("found", given))
     assert found.held_out_rms_N < 1.3 * found.noise_floor_N
     (said,) = (w for w in found.warnings if w.startswith("mass, payload included"))

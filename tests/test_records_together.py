@@ -2,56 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cli_cases import SMALL
-from sgms_mhe.configuration import load_machine, override_machine
+from record_cases import ASYMMETRY, RIPPLE, recorded, small_axis
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.alignment import find_step_error
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.preparation import prepare_logs
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.signals.logs import Log
 
-Hidden = Sequence[tuple[str, Mapping[str, float]]]
 DRAG = ("quadratic_drag", {"coefficient_N_s2_m2": 1.5})
 LONG_RIPPLE = ("force_ripple", {"amplitude_N": 0.6, "pitch_m": 0.3, "phase_rad": 0.4})
 WEAK_RIPPLE = ("force_ripple", {"amplitude_N": 0.045, "pitch_m": 0.0171, "phase_rad": 0.4})
-RIPPLE = ("force_ripple", {"amplitude_N": 1.2, "pitch_m": 0.0171, "phase_rad": 0.4})
-ASYMMETRY = ("asymmetric_coulomb", {"ratio": 0.2})
 WARM = {"coulomb": 1.2, "viscous": 1.3}
 
 
 @pytest.fixture(scope="module")
-def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
-    path = tmp_path_factory.mktemp("machine") / "small.toml"
-    path.write_text(SMALL)
-    return override_machine(load_machine(path), {"log": {"homed": True}})
-
-
-def recorded(
-    machine: Machine,
-    seed: int,
-    hidden: Hidden,
-    *,
-    reach: float = 1.0,
-    scale: Mapping[str, float] | None = None,
-    offset: float = 0.0,
-) -> Log:
-    """A record of strokes so many times as long and as fast, with an offset [N] of its own."""
-    own = [*hidden, ("constant_offset", {"force_N": offset})] if offset else hidden
-    motion = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
-    motion = replace(motion, position_m=reach * motion.position_m)
-    config = AxisConfig(seed=seed)
-    log = simulate_axis(machine, motion, config, hidden_effects=own, scale=scale or {}, truth=False).log
-    return replace(log, source=f"record {seed}")
+def machine() -> Machine:
+    return override_machine(small_axis(), {"log": {"homed": True}})
 
 
 def holds(found: Diagnosis) -> dict[str, bool | None]:

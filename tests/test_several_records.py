@@ -15,54 +15,32 @@ from numpy.typing import NDArray
 
 from cli_cases import SMALL, refused, run
 from diagnosis_cases import explained
+from record_cases import ASYMMETRY, RIPPLE, Hidden, recorded, small_axis
 from sgms_mhe.api.inputs import list_sources
-from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import Cause, Diagnosis
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, bounds
 from sgms_mhe.diagnosis.result import Rms
 from sgms_mhe.diagnosis.transfer import judge_on_records
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log, write_log
 
-Hidden = Sequence[tuple[str, Mapping[str, float]]]
-RIPPLE = ("force_ripple", {"amplitude_N": 1.2, "pitch_m": 0.0171, "phase_rad": 0.4})
 FINE_RIPPLE = ("force_ripple", {"amplitude_N": 0.7, "pitch_m": 0.0053, "phase_rad": -1.1})
-ASYMMETRY = ("asymmetric_coulomb", {"ratio": 0.2})
 FORCE_AGE_s = 3.4e-4
 """Of the logged force, which a diagnosis finds in every record of this axis: its controller holds it over a sample."""
 COLD = {"coulomb": 1.3, "viscous": 1.6}
 
 
 @pytest.fixture(scope="module")
-def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
-    path = tmp_path_factory.mktemp("machine") / "small.toml"
-    path.write_text(SMALL)
-    return load_machine(path)
+def machine() -> Machine:
+    return small_axis()
 
 
-def recorded(
-    machine: Machine,
-    seed: int,
-    hidden: Hidden,
-    *,
-    scale: Mapping[str, float] | None = None,
-    origin: float = 0.0,
-    offset: float = 0.0,
-) -> Log:
-    """A record of an axis whose position counts from another origin [m], with an offset [N] of its own."""
-    own = [*hidden, ("constant_offset", {"force_N": offset})] if offset else hidden
-    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
-    config = AxisConfig(seed=seed)
-    log = simulate_axis(machine, trajectory, config, hidden_effects=own, scale=scale or {}, truth=False).log
-    return replace(log, position_m=log.position_m - origin, source=f"record {seed}")
-
-
-def diagnosed(machine: Machine, log: Log, hidden: Hidden, friction: Mapping[str, float] | None = None) -> Diagnosis:
+def diagnosed(
+    machine: Machine, log: Log, hidden: Sequence[Hidden], friction: Mapping[str, float] | None = None
+) -> Diagnosis:
     """A diagnosis that found what is hidden, number by number."""
     rms, nan, numbers = Rms(1.0, 0.1, 1.0, 0.1), math.nan, dict(friction or {})
     labels = [f"{name}_2" if any(n == name for n, _ in hidden[:i]) else name for i, (name, _) in enumerate(hidden)]
@@ -90,7 +68,7 @@ def diagnosed(machine: Machine, log: Log, hidden: Hidden, friction: Mapping[str,
     )
 
 
-def judged(machine: Machine, hidden: Hidden, others: Sequence[Log], **changes: Any) -> Diagnosis:
+def judged(machine: Machine, hidden: Sequence[Hidden], others: Sequence[Log], **changes: Any) -> Diagnosis:
     first = recorded(machine, 1, hidden)
     return judge_on_records(diagnosed(machine, first, hidden, **changes), first, others, lambda _: None)
 
@@ -181,7 +159,9 @@ ROUGH_ASYMMETRY = ("asymmetric_coulomb", {"ratio": 0.23})
 """As one record might say."""
 
 
-def together(machine: Machine, hidden: Hidden, found: Hidden, others: Sequence[Log], **changes: Any) -> Diagnosis:
+def together(
+    machine: Machine, hidden: Sequence[Hidden], found: Sequence[Hidden], others: Sequence[Log], **changes: Any
+) -> Diagnosis:
     """Several records that hide one thing, of which the first was found to have another."""
     first = recorded(machine, 1, hidden, scale={"coulomb": 0.8}, offset=0.4)
     return judge_on_records(diagnosed(machine, first, found, **changes), first, others, lambda _: None)
@@ -279,11 +259,12 @@ def test_one_log_or_several_are_sources() -> None:
 
 @pytest.mark.slow
 def test_diagnose_takes_several_logs(machine: Machine, tmp_path: Path) -> None:
-    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    axis, first, second = (tmp_path / name for name in ("small.toml", "first.csv", "second.csv"))
+    axis.write_text(SMALL)
     write_log(first, recorded(machine, 1, [RIPPLE]))
     write_log(second, recorded(machine, 2, [RIPPLE], scale=COLD, origin=0.0061, offset=0.3))
     out = tmp_path / "out"
-    result = run("diagnose", machine.source, first, second, "--out", out)
+    result = run("diagnose", axis, first, second, "--out", out)
     assert result.exit_code == 0, result.output
     assert "rms on held-out data; transfers" in result.stdout
     assert f"on {second}: residual" in result.stdout
@@ -293,4 +274,4 @@ def test_diagnose_takes_several_logs(machine: Machine, tmp_path: Path) -> None:
     report = (out / "report.html").read_text()
     assert "On each record" in report
     assert "second.csv" in report
-    assert "absent.csv" in refused("diagnose", machine.source, first, tmp_path / "absent.csv", "--out", out)
+    assert "absent.csv" in refused("diagnose", axis, first, tmp_path / "absent.csv", "--out", out)
