@@ -47,8 +47,8 @@ class MeasuredOutcome:
         learned: error there of the machine that also has what was learned; None: nothing was.
         plain: the same of Coulomb and viscous friction by least squares.
         verdict: of the diagnosis, with its causes; or the sentence of a refusal.
-        inside: numbers of both halves whose interval of the difference holds zero.
         numbers: numbers that both halves have; 0: one half alone was diagnosed.
+        apart: those of them whose interval of the difference does not hold zero, each with its two values.
         seconds: of this beginning.
     """
 
@@ -61,8 +61,8 @@ class MeasuredOutcome:
     plain: ForceError
     verdict: str
     learned: ForceError | None = None
-    inside: int = 0
     numbers: int = 0
+    apart: tuple[str, ...] = ()
     seconds: float = 0.0
 
     @property
@@ -234,14 +234,19 @@ def _add_halves(
         other = diagnose(_begin(record, stated, protocol, begin, protocol.unseen), protocol.unseen, note=_ignore)
     except InputError:
         return outcome
-    inside = [abs(a - b) <= SIGMAS * math.hypot(s, t) for a, s, b, t in pair_numbers(found, other)]
-    return replace(outcome, inside=sum(inside), numbers=len(inside))
+    pairs = pair_numbers(found, other)
+    apart = tuple(
+        f"{name} {a:.4g} +- {SIGMAS * s:.2g} and {b:.4g} +- {SIGMAS * t:.2g}"
+        for name, (a, s, b, t) in pairs.items()
+        if abs(a - b) > SIGMAS * math.hypot(s, t)
+    )
+    return replace(outcome, numbers=len(pairs), apart=apart)
 
 
-def pair_numbers(one: Diagnosis, other: Diagnosis) -> list[tuple[float, float, float, float]]:
-    """Return (value, deviation, value, deviation) of each number that two diagnoses both determine."""
+def pair_numbers(one: Diagnosis, other: Diagnosis) -> dict[str, tuple[float, float, float, float]]:
+    """Return (value, deviation, value, deviation) of each number that two diagnoses both determine, by its name."""
     first, second = _numbers(one), _numbers(other)
-    return [(*first[key], *second[key]) for key in first if key in second]
+    return {".".join(key): (*first[key], *second[key]) for key in first if key in second}
 
 
 def _numbers(found: Diagnosis) -> dict[tuple[str, str], tuple[float, float]]:
@@ -324,8 +329,10 @@ class MeasuredTally:
         return (error.residual_rms_N if outcome.published_in == "rms" else 100.0 * error.relative) < published
 
     def _coverage(self) -> tuple[str, ...]:
-        inside, numbers = (sum(getattr(o, key) for o in self.outcomes) for key in ("inside", "numbers"))
+        numbers = sum(o.numbers for o in self.outcomes)
         if not numbers:
             return ()
+        apart = [f"  {o.name} from {o.begin}: {number}" for o in self.outcomes for number in o.apart]
+        inside = numbers - len(apart)
         share = f"{inside} of {numbers} numbers, {100.0 * inside / numbers:.0f} %"
-        return (f"both stretches agree within two standard deviations of their difference: {share}",)
+        return (f"both stretches agree within two standard deviations of their difference: {share}", *apart)
