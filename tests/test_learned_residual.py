@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from diagnosis_cases import explained
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis import Diagnosis, diagnose, learned_machine, write_diagnosis
+from sgms_mhe.diagnosis import Diagnosis, diagnose, learned_machine, learner, write_diagnosis
 from sgms_mhe.diagnosis.coordinates import Coordinate, cubic, memory_of_reversals, warp
 from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.learned import Learned, LearnedRecord, LearnedTerm
@@ -141,6 +141,24 @@ def test_a_fine_ripple_is_learned_that_each_direction_has_elsewhere() -> None:
     force = ripple(there)[there.used]
     left = force - predict(learned, there)[there.used]
     assert np.sqrt(np.mean(left**2) / np.mean(force**2)) < 0.3
+
+
+def test_no_memory_of_a_reversal_is_learned_before_an_axis_has_moved_its_length() -> None:
+    """How it came to its first place no record says: a force at rest there was learned as one of that memory."""
+    time = np.arange(20000) / 1000.0
+    position = 0.1 - 0.1 * np.cos(np.pi * np.maximum(0.0, time - 3.0))
+    here = prepare(machine(), Log(time, position, np.zeros(len(time)), 1000.0))
+    residual = noise(len(here.time), 1)
+    data = learner._prepare(here, residual, residual)
+    assert data is not None
+    moved = (np.cumsum(np.abs(here.velocity)) / here.rate)[data.place]
+    lengths = [[c.scale for c in basis.coordinates if c.kind == "travel"] for basis in data.candidates]
+    assert any(lengths) and not all(lengths)
+    for basis, length in zip(data.candidates, lengths, strict=True):
+        known = data.X[:, basis.columns].any(axis=1)
+        assert known[-1]
+        assert known[0] != bool(length)
+        assert not length or not known[moved < length[0]].any()
 
 
 @pytest.mark.slow

@@ -199,8 +199,9 @@ def _prepare(recording: Recording, full: Array, blind: Array) -> _Data | None:
         log_decision("learner", "too few segments beside the residual's correlation", segments=count)
         return None
     segment = np.arange(int(whole.sum())) * count // int(whole.sum())
-    warped = {key: x[whole] for key, x in warp_motion(position, velocity, every / recording.rate).items()}
-    X, candidates = _make_candidates(warped, segment)
+    step = every / recording.rate
+    warped = {key: x[whole] for key, x in warp_motion(position, velocity, step).items()}
+    X, candidates = _make_candidates(warped, segment, (np.cumsum(np.abs(velocity)) * step)[whole])
     if not candidates:
         return None
     fold, _ = split_blocks(count, recording.machine)
@@ -225,8 +226,14 @@ def _count_segments(residual: Array) -> int:
     return int(len(e) / (LONG * max(1, int(np.argmax(below))))) if below.any() else 0
 
 
-def _make_candidates(warped: Mapping[tuple[Kind, float], Array], segment: Index) -> tuple[Array, tuple[_Basis, ...]]:
-    """Return the columns of all candidates (m, p), and these."""
+def _make_candidates(
+    warped: Mapping[tuple[Kind, float], Array], segment: Index, moved: Array
+) -> tuple[Array, tuple[_Basis, ...]]:
+    """Return the columns of all candidates (m, p), and these.
+
+    A memory of reversals begins where the axis has `moved` (m) [m] its length: how it came to its first place is not
+    known.
+    """
     columns: list[Array] = []
     candidates: list[_Basis] = []
     first = 0
@@ -234,6 +241,7 @@ def _make_candidates(warped: Mapping[tuple[Kind, float], Array], segment: Index)
         coordinates = tuple(_make_coordinate(key, warped[key], count) for key, count in zip(keys, cells, strict=True))
         own = [c.splines(warped[key]) for c, key in zip(coordinates, keys, strict=True)]
         B = own[0] if len(keys) == 1 else (own[0][:, :, None] * own[1][:, None, :]).reshape(len(segment), -1)
+        B[moved < max((scale for kind, scale in keys if kind == "travel"), default=0.0)] = 0.0
         kept = _find_supported(B, segment)
         if not kept.any():
             continue
