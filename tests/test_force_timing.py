@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,5 +80,16 @@ def test_two_frequencies_show_a_spring() -> None:
     found = identify([swung_motor(1, LAWS["saturating"], 1e-4, 0.5)], Wanted("motor", INERTIA))
     spring = next(number for number in found.numbers if number.name == "position_spring.stiffness_N_m")
     assert spring.value == pytest.approx(1e-4, rel=0.05)
+    assert spring.std < 0.05 * spring.value
+    assert not any("position_spring: not determined" in limit for limit in found.limits)
+
+
+@pytest.mark.slow
+def test_a_spring_beside_friction_that_was_recorded_hangs_on_no_inertia() -> None:
+    log = swung_motor(1, LAWS["saturating"], 1e-4)
+    speed = np.diff(log.position_m, prepend=0.0) * RATE
+    friction = log.force_N - INERTIA * np.gradient(speed, 1.0 / RATE)
+    found = identify([replace(log, force_N=friction, friction_N=friction)], Wanted("motor", 5e-6))
+    spring = next(number for number in found.numbers if number.name == "position_spring.stiffness_N_m")
     assert spring.std < 0.05 * spring.value
     assert not any("position_spring: not determined" in limit for limit in found.limits)

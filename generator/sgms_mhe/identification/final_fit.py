@@ -183,7 +183,7 @@ def make_final_fit(
         free, cov_free = fit, cov
         fit = _fit_without(views.fine, fit, dropped)
         cov = covariance(views.fine, fit)
-        if mass is None and wanted.mass:
+        if mass is None and wanted.mass and views.fine.rows.inertia > 0.0:
             beside = _beside_mass(free, cov_free, fit, cov)
             for name in beside:
                 cov[fit.place(name), fit.place(name)] = cov_free[free.place(name), free.place(name)]
