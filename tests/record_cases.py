@@ -24,7 +24,7 @@ def small_axis() -> Machine:
     return make_machine(tomllib.loads(SMALL), Path("small.toml"))
 
 
-def recorded(
+def record_axis(
     machine: Machine,
     seed: int,
     hidden: Sequence[Hidden] = (),

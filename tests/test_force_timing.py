@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sgms_mhe.api.estimation import predict
 from sgms_mhe.evaluation.prediction import force_error
 from sgms_mhe.identification.identify import Wanted, identify
+from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -47,6 +48,10 @@ def swung_motor(seed: int, friction: Callable[[Array], Array], spring: float = 0
     )
 
 
+def find_spring(found: Identification) -> Number:
+    return next(number for number in found.numbers if number.name == "position_spring.stiffness_N_m")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_what_is_stated_is_left_on_another_record(law: str) -> None:
@@ -68,8 +73,7 @@ def test_one_frequency_shows_no_inertia_beside_a_spring() -> None:
 def test_one_frequency_shows_no_spring_beside_an_inertia_that_it_does_not_show() -> None:
     """2.5e-5 +- 0.2e-5 N m/rad were stated of an axis that has no spring: the inertia that was given is 4 % off."""
     found = identify([swung_motor(1, LAWS["saturating"])], Wanted("motor", 5e-6))
-    numbers = {number.name: number for number in found.numbers}
-    spring = numbers["position_spring.stiffness_N_m"]
+    spring = find_spring(found)
     assert not spring.determined
     assert spring.std > abs(spring.value)
     assert any(limit.startswith("position_spring: not determined") and "inertia" in limit for limit in found.limits)
@@ -78,7 +82,7 @@ def test_one_frequency_shows_no_spring_beside_an_inertia_that_it_does_not_show()
 @pytest.mark.slow
 def test_two_frequencies_show_a_spring() -> None:
     found = identify([swung_motor(1, LAWS["saturating"], 1e-4, 0.5)], Wanted("motor", INERTIA))
-    spring = next(number for number in found.numbers if number.name == "position_spring.stiffness_N_m")
+    spring = find_spring(found)
     assert spring.value == pytest.approx(1e-4, rel=0.05)
     assert spring.std < 0.05 * spring.value
     assert not any("position_spring: not determined" in limit for limit in found.limits)
@@ -90,6 +94,6 @@ def test_a_spring_beside_friction_that_was_recorded_hangs_on_no_inertia() -> Non
     speed = np.diff(log.position_m, prepend=0.0) * RATE
     friction = log.force_N - INERTIA * np.gradient(speed, 1.0 / RATE)
     found = identify([replace(log, force_N=friction, friction_N=friction)], Wanted("motor", 5e-6))
-    spring = next(number for number in found.numbers if number.name == "position_spring.stiffness_N_m")
+    spring = find_spring(found)
     assert spring.std < 0.05 * spring.value
     assert not any("position_spring: not determined" in limit for limit in found.limits)

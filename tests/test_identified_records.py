@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from record_cases import recorded, small_axis
+from record_cases import record_axis, small_axis
 from sgms_mhe.identification.elements import NO_RISE, run_elements
 from sgms_mhe.identification.identify import Wanted, identify
 from sgms_mhe.identification.records import Records, filter_motion, scale_levels
@@ -24,9 +24,9 @@ def machine() -> Machine:
 @pytest.mark.slow
 def test_offset_level_and_damping_are_free_in_each_record(machine: Machine) -> None:
     logs = [
-        recorded(machine, 1, scale={"coulomb": 0.8, "viscous": 0.7}, offset=0.5),
-        recorded(machine, 2, scale={"coulomb": 1.2, "viscous": 1.3}, offset=-0.3),
-        recorded(machine, 3, offset=0.2),
+        record_axis(machine, 1, scale={"coulomb": 0.8, "viscous": 0.7}, offset=0.5),
+        record_axis(machine, 2, scale={"coulomb": 1.2, "viscous": 1.3}, offset=-0.3),
+        record_axis(machine, 3, offset=0.2),
     ]
     found = identify(logs, Wanted("found", machine.plant.moved))
     truth = machine.friction
@@ -48,7 +48,7 @@ def test_offset_level_and_damping_are_free_in_each_record(machine: Machine) -> N
 
 
 def test_terms_of_records_are_differences_to_their_mean(machine: Machine) -> None:
-    rows = prepare(machine, recorded(machine, 4, offset=0.1))
+    rows = prepare(machine, record_axis(machine, 4, offset=0.1))
     count = len(rows.time)
     sliding = np.sign(rows.velocity)
     assert record_terms(rows, [count], sliding) == ()
@@ -63,7 +63,7 @@ def test_terms_of_records_are_differences_to_their_mean(machine: Machine) -> Non
 
 
 def test_a_level_of_a_record_leaves_stiffness_as_it_is(machine: Machine) -> None:
-    rows = prepare(machine, recorded(machine, 5, offset=0.1))
+    rows = prepare(machine, record_axis(machine, 5, offset=0.1))
     motion = filter_motion(rows)
     records = Records(machine, ("a", "b"), rows, (motion, motion), (motion, motion), 0.0, ())
     scaled = scale_levels(scale_levels(records, [1.0, 3.0]), [1.0, 1.0])

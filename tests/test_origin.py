@@ -16,8 +16,9 @@ import sgms_mhe
 from binding_cases import module_of
 from c_packages import written
 from cli_cases import SMALL, done, refused, run
+from record_cases import small_axis
 from sgms_bench.diagnosis.motions import draw_motion
-from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.other_record import Origin
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.machine import Machine
@@ -33,10 +34,8 @@ SPRING: Mapping[str, Any] = {"stiffness_N_m": 60.0, "centre_m": 0.01}
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Machine:
-    path = tmp_path_factory.mktemp("machine") / "small.toml"
-    path.write_text(SMALL)
-    return load_machine(path)
+def small() -> Machine:
+    return small_axis()
 
 
 def with_effects(small: Machine, *effects: tuple[str, Mapping[str, Any]]) -> Machine:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from record_cases import RIPPLE, Hidden, recorded, small_axis
+from record_cases import RIPPLE, Hidden, record_axis, small_axis
 from sgms_mhe.api.inputs import read_log
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.fits import Subject, fit_model
@@ -26,15 +26,15 @@ def machine() -> Machine:
     return small_axis()
 
 
-def loaded(machine: Machine, hidden: Sequence[Hidden] = (), *, stated: bool = True) -> list[Log]:
+def record_payloads(machine: Machine, hidden: Sequence[Hidden] = (), *, stated: bool = True) -> list[Log]:
     """Records that each move a payload of their own."""
-    logs = [recorded(machine, k, hidden, payload=size) for k, size in enumerate(PAYLOADS_kg)]
+    logs = [record_axis(machine, k, hidden, payload=size) for k, size in enumerate(PAYLOADS_kg)]
     return [replace(log, payload=stated) for log in logs]
 
 
 def test_a_payload_is_stated_in_the_table_of_a_log(machine: Machine, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    write_log(path, recorded(machine, 1))
+    write_log(path, record_axis(machine, 1))
     assert not read_log(path, machine).payload
     log = read_log(path, table={"payload": True})
     assert log.payload and log.part(0.0, 2.0).payload
@@ -43,7 +43,7 @@ def test_a_payload_is_stated_in_the_table_of_a_log(machine: Machine, tmp_path: P
 def test_a_stated_payload_is_no_residual_of_all_records(machine: Machine) -> None:
     left = []
     for stated in (True, False):
-        logs = loaded(machine, stated=stated)
+        logs = record_payloads(machine, stated=stated)
         subject = Subject.of(machine, prepare_logs(machine, logs, None).recording)
         left.append(fit_model(subject, ()).rms)
     with_payload, without = left
@@ -54,7 +54,7 @@ def test_a_stated_payload_is_no_residual_of_all_records(machine: Machine) -> Non
 
 @pytest.mark.slow
 def test_a_cause_transfers_to_records_with_other_payloads(machine: Machine) -> None:
-    first, *others = loaded(machine, [RIPPLE])
+    first, *others = record_payloads(machine, [RIPPLE])
     found = diagnose(machine, first, others=others)
     assert found.verdict == "explained"
     assert {cause.label: cause.transfers for cause in found.causes} == {"force_ripple": True}
@@ -66,7 +66,7 @@ def test_a_cause_transfers_to_records_with_other_payloads(machine: Machine) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("given", [None, 20.0])
 def test_identification_frees_the_mass_of_each_record(machine: Machine, given: float | None) -> None:
-    logs = loaded(machine)
+    logs = record_payloads(machine)
     found = identify(logs, Wanted("found", given))
     assert found.held_out_rms_N < 1.3 * found.noise_floor_N
     (said,) = (w for w in found.warnings if w.startswith("mass, payload included"))

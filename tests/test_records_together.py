@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from record_cases import ASYMMETRY, RIPPLE, recorded, small_axis
+from record_cases import ASYMMETRY, RIPPLE, record_axis, small_axis
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.alignment import find_step_error
@@ -31,7 +31,7 @@ def holds(found: Diagnosis) -> dict[str, bool | None]:
 
 
 def test_what_belongs_to_a_record_is_no_residual_of_all(machine: Machine) -> None:
-    logs = [recorded(machine, 1, ()), recorded(machine, 2, (), scale=WARM, offset=0.3)]
+    logs = [record_axis(machine, 1, ()), record_axis(machine, 2, (), scale=WARM, offset=0.3)]
     alone, joined = (prepare_logs(machine, some, None).recording for some in (logs[:1], logs))
     own, fit = (fit_model(Subject.of(machine, one), ()) for one in (alone, joined))
     assert prepare_logs(machine, logs[1:], None).nominal.rms > 4.0 * own.rms
@@ -47,7 +47,7 @@ def test_what_belongs_to_a_record_is_no_residual_of_all(machine: Machine) -> Non
 
 
 def test_records_that_do_not_meet_have_the_step_errors_of_each(machine: Machine) -> None:
-    logs = [recorded(machine, 1, ()), recorded(machine, 2, ())]
+    logs = [record_axis(machine, 1, ()), record_axis(machine, 2, ())]
     moved = [logs[0], replace(logs[1], position_m=logs[1].position_m + 0.7)]
     errors = []
     for one in ([logs[0]], moved):
@@ -60,8 +60,8 @@ def test_records_that_do_not_meet_have_the_step_errors_of_each(machine: Machine)
 
 @pytest.mark.slow
 def test_a_cause_that_the_second_record_alone_excites_is_found(machine: Machine) -> None:
-    slow = recorded(machine, 1, [DRAG], reach=0.15)
-    fast = recorded(machine, 2, [DRAG], scale=WARM, offset=0.3)
+    slow = record_axis(machine, 1, [DRAG], reach=0.15)
+    fast = record_axis(machine, 2, [DRAG], scale=WARM, offset=0.3)
     assert diagnose(machine, slow).verdict == "adequate"
     found = diagnose(machine, slow, others=[fast])
     assert holds(found) == {"quadratic_drag": None}  # of one record, others say nothing
@@ -74,7 +74,7 @@ def test_a_cause_that_the_second_record_alone_excites_is_found(machine: Machine)
 
 @pytest.mark.slow
 def test_a_cause_that_is_weak_in_each_record_is_found_in_all(machine: Machine) -> None:
-    logs = [recorded(machine, seed, [WEAK_RIPPLE]) for seed in (11, 12, 13)]
+    logs = [record_axis(machine, seed, [WEAK_RIPPLE]) for seed in (11, 12, 13)]
     assert diagnose(machine, logs[0]).causes == ()
     found = diagnose(machine, logs[0], others=logs[1:])
     assert (found.verdict, holds(found)) == ("explained", {"force_ripple": True})
@@ -85,9 +85,9 @@ def test_a_cause_that_is_weak_in_each_record_is_found_in_all(machine: Machine) -
 @pytest.mark.slow
 def test_a_short_first_record_does_not_decide(machine: Machine) -> None:
     """A twelfth of a ripple is a spring."""
-    short = recorded(machine, 1, [LONG_RIPPLE], reach=0.05)
+    short = record_axis(machine, 1, [LONG_RIPPLE], reach=0.05)
     assert [cause.name for cause in diagnose(machine, short).causes] == ["position_spring"]
-    found = diagnose(machine, short, others=[recorded(machine, 2, [LONG_RIPPLE], scale={"coulomb": 1.1})])
+    found = diagnose(machine, short, others=[record_axis(machine, 2, [LONG_RIPPLE], scale={"coulomb": 1.1})])
     assert holds(found) == {"force_ripple": True, "position_spring": False}
     assert found.causes[0].parameters["pitch_m"] == pytest.approx(0.3, rel=0.02)
     assert found.extended is not None
@@ -97,6 +97,6 @@ def test_a_short_first_record_does_not_decide(machine: Machine) -> None:
 
 @pytest.mark.slow
 def test_a_cause_of_the_first_record_alone_stays_that(machine: Machine) -> None:
-    logs = [recorded(machine, 1, [RIPPLE, ASYMMETRY]), *(recorded(machine, seed, [RIPPLE]) for seed in (2, 3))]
+    logs = [record_axis(machine, 1, [RIPPLE, ASYMMETRY]), *(record_axis(machine, seed, [RIPPLE]) for seed in (2, 3))]
     found = diagnose(machine, logs[0], others=logs[1:])
     assert holds(found) == {"force_ripple": True, "asymmetric_coulomb": False}

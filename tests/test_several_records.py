@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cli_cases import SMALL, refused, run
 from diagnosis_cases import explained
-from record_cases import ASYMMETRY, RIPPLE, Hidden, recorded, small_axis
+from record_cases import ASYMMETRY, RIPPLE, Hidden, record_axis, small_axis
 from sgms_mhe.api.inputs import list_sources
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import Cause, Diagnosis
@@ -69,12 +69,12 @@ def diagnosed(
 
 
 def judged(machine: Machine, hidden: Sequence[Hidden], others: Sequence[Log], **changes: Any) -> Diagnosis:
-    first = recorded(machine, 1, hidden)
+    first = record_axis(machine, 1, hidden)
     return judge_on_records(diagnosed(machine, first, hidden, **changes), first, others, lambda _: None)
 
 
 def test_a_ripple_transfers_to_another_power_up_and_temperature(machine: Machine) -> None:
-    other = recorded(machine, 2, [RIPPLE], scale=COLD, origin=0.0061, offset=0.3)
+    other = record_axis(machine, 2, [RIPPLE], scale=COLD, origin=0.0061, offset=0.3)
     found = judged(machine, [RIPPLE, ASYMMETRY], [other])
     ripple, asymmetry = found.causes
     assert ripple.transfers is True
@@ -91,7 +91,7 @@ def test_a_ripple_transfers_to_another_power_up_and_temperature(machine: Machine
 
 def test_what_both_records_have_leaves_no_more_than_noise(machine: Machine) -> None:
     hidden = [RIPPLE, ASYMMETRY]
-    found = judged(machine, hidden, [recorded(machine, 2, hidden, scale=COLD, origin=-0.0021, offset=-0.2)])
+    found = judged(machine, hidden, [record_axis(machine, 2, hidden, scale=COLD, origin=-0.0021, offset=-0.2)])
     _, record = found.records
     assert [cause.transfers for cause in found.causes] == [True, True]
     assert record.origin_m % 0.0171 == pytest.approx(-0.0021 % 0.0171, abs=5e-5)  # one ripple: but for its periods
@@ -103,8 +103,8 @@ def test_what_both_records_have_leaves_no_more_than_noise(machine: Machine) -> N
 
 def test_a_homed_axis_has_one_origin(machine: Machine) -> None:
     homed = override_machine(machine, {"log": {"homed": True}})
-    other = recorded(machine, 2, [RIPPLE], origin=0.0171 / 2.0)  # the opposite phase
-    found = judged(homed, [RIPPLE], [other, recorded(machine, 3, [RIPPLE])])
+    other = record_axis(machine, 2, [RIPPLE], origin=0.0171 / 2.0)  # the opposite phase
+    found = judged(homed, [RIPPLE], [other, record_axis(machine, 3, [RIPPLE])])
     assert found.causes[0].transfers is False
     assert [record.origin_m for record in found.records] == [0.0, 0.0, 0.0]
     assert found.records[1].causes[0].gain_interval_N[1] < 0.0 < found.records[2].causes[0].gain_interval_N[0]
@@ -113,14 +113,14 @@ def test_a_homed_axis_has_one_origin(machine: Machine) -> None:
 
 def test_two_ripples_say_the_origin_beyond_a_period(machine: Machine) -> None:
     hidden = [RIPPLE, FINE_RIPPLE]
-    found = judged(machine, hidden, [recorded(machine, 2, hidden, origin=0.0243)])
+    found = judged(machine, hidden, [record_axis(machine, 2, hidden, origin=0.0243)])
     assert [cause.transfers for cause in found.causes] == [True, True]
     assert found.records[1].origin_m == pytest.approx(0.0243, abs=5e-5)
 
 
 def test_a_level_is_judged_as_it_was_found(machine: Machine) -> None:
     level = 1.25 * machine.friction.coulomb
-    same, other = (recorded(machine, seed, (), scale={"coulomb": factor}) for seed, factor in ((2, 1.25), (3, 1.0)))
+    same, other = (record_axis(machine, seed, (), scale={"coulomb": factor}) for seed, factor in ((2, 1.25), (3, 1.0)))
     found = judged(machine, (), [same], friction={"coulomb": level})
     assert found.causes[0].transfers is True
     found = judged(machine, (), [same, other], friction={"coulomb": level})
@@ -131,14 +131,14 @@ def test_a_level_is_judged_as_it_was_found(machine: Machine) -> None:
 
 def test_records_that_do_not_show_a_cause_say_nothing_of_it(machine: Machine) -> None:
     tiny = ("asymmetric_coulomb", {"ratio": 0.001})
-    found = judged(machine, [tiny], [recorded(machine, 2, ())])
+    found = judged(machine, [tiny], [record_axis(machine, 2, ())])
     assert found.causes[0].transfers is None
     assert found.contradictions == ()
 
 
 def test_a_machine_worse_than_plain_friction_is_not_recommended(machine: Machine) -> None:
     wrong = ("force_ripple", {"amplitude_N": 8.0, "pitch_m": 0.0171, "phase_rad": 0.0})
-    found = judged(machine, [wrong], [recorded(machine, 2, ())])
+    found = judged(machine, [wrong], [record_axis(machine, 2, ())])
     _, record = found.records
     assert record.held_out_after > record.plain
     (sentence,) = (limit for limit in found.limits if "not recommended" in limit)
@@ -163,15 +163,15 @@ def together(
     machine: Machine, hidden: Sequence[Hidden], found: Sequence[Hidden], others: Sequence[Log], **changes: Any
 ) -> Diagnosis:
     """Several records that hide one thing, of which the first was found to have another."""
-    first = recorded(machine, 1, hidden, scale={"coulomb": 0.8}, offset=0.4)
+    first = record_axis(machine, 1, hidden, scale={"coulomb": 0.8}, offset=0.4)
     return judge_on_records(diagnosed(machine, first, found, **changes), first, others, lambda _: None)
 
 
 def test_numbers_are_those_of_all_records_together(machine: Machine) -> None:
     hidden = [RIPPLE, ASYMMETRY]
     others = [
-        recorded(machine, 2, hidden, scale=COLD, origin=0.0061, offset=0.3),
-        recorded(machine, 3, hidden, origin=-0.0017, offset=-0.2),
+        record_axis(machine, 2, hidden, scale=COLD, origin=0.0061, offset=0.3),
+        record_axis(machine, 3, hidden, origin=-0.0017, offset=-0.2),
     ]
     found = together(machine, hidden, [ROUGH_RIPPLE, ROUGH_ASYMMETRY], others)
     assert [cause.transfers for cause in found.causes] == [True, True]
@@ -197,7 +197,7 @@ def test_numbers_are_those_of_all_records_together(machine: Machine) -> None:
 
 
 def test_a_cause_of_the_first_record_alone_keeps_its_numbers(machine: Machine) -> None:
-    other = recorded(machine, 2, [RIPPLE], scale=COLD, origin=0.0061)
+    other = record_axis(machine, 2, [RIPPLE], scale=COLD, origin=0.0061)
     found = together(machine, [RIPPLE, ASYMMETRY], [ROUGH_RIPPLE, ASYMMETRY], [other])
     ripple, asymmetry = found.causes
     assert (ripple.transfers, asymmetry.transfers) == (True, False)
@@ -209,7 +209,7 @@ def test_a_cause_of_the_first_record_alone_keeps_its_numbers(machine: Machine) -
 
 
 def test_a_phase_is_surer_by_another_record_only_if_that_has_the_same_origin(machine: Machine) -> None:
-    other = recorded(machine, 2, [RIPPLE])
+    other = record_axis(machine, 2, [RIPPLE])
     homed = override_machine(machine, {"log": {"homed": True}})
     free, known = (together(axis, [RIPPLE], [ROUGH_RIPPLE], [other]).causes[0] for axis in (machine, homed))
     assert known.std["phase_rad"] < 0.8 * free.std["phase_rad"]
@@ -218,8 +218,8 @@ def test_a_phase_is_surer_by_another_record_only_if_that_has_the_same_origin(mac
 
 def test_a_level_is_the_mean_of_the_records_and_as_uncertain_as_they_differ(machine: Machine) -> None:
     level = machine.friction.coulomb
-    others = [recorded(machine, 2, (), scale={"coulomb": 1.4}), recorded(machine, 3, (), scale={"coulomb": 1.2})]
-    first = recorded(machine, 1, (), scale={"coulomb": 1.3})
+    others = [record_axis(machine, 2, (), scale={"coulomb": 1.4}), record_axis(machine, 3, (), scale={"coulomb": 1.2})]
+    first = record_axis(machine, 1, (), scale={"coulomb": 1.3})
     found = diagnosed(machine, first, (), friction={"coulomb": 1.3 * level})
     (cause,) = judge_on_records(found, first, others, lambda _: None).causes
     assert cause.transfers is True
@@ -240,7 +240,7 @@ def test_a_number_of_all_records_that_a_bound_stops_has_no_interval(
     for module in ("joint_fit", "fits"):
         monkeypatch.setattr(f"sgms_mhe.diagnosis.{module}.bounds", limited)
     low = ("force_ripple", {**RIPPLE[1], "amplitude_N": 0.9})
-    found = together(machine, [RIPPLE], [low], [recorded(machine, 2, [RIPPLE])])
+    found = together(machine, [RIPPLE], [low], [record_axis(machine, 2, [RIPPLE])])
     (ripple,) = found.causes
     assert ripple.parameters["amplitude_N"] == pytest.approx(1.0)
     assert math.isnan(ripple.std["amplitude_N"])
@@ -261,8 +261,8 @@ def test_one_log_or_several_are_sources() -> None:
 def test_diagnose_takes_several_logs(machine: Machine, tmp_path: Path) -> None:
     axis, first, second = (tmp_path / name for name in ("small.toml", "first.csv", "second.csv"))
     axis.write_text(SMALL)
-    write_log(first, recorded(machine, 1, [RIPPLE]))
-    write_log(second, recorded(machine, 2, [RIPPLE], scale=COLD, origin=0.0061, offset=0.3))
+    write_log(first, record_axis(machine, 1, [RIPPLE]))
+    write_log(second, record_axis(machine, 2, [RIPPLE], scale=COLD, origin=0.0061, offset=0.3))
     out = tmp_path / "out"
     result = run("diagnose", axis, first, second, "--out", out)
     assert result.exit_code == 0, result.output

@@ -38,16 +38,15 @@ def machine() -> Machine:
 
 
 @cache
-def diagnosed(curve: str, noise_N: float = 0.05) -> Diagnosis:
+def diagnosed(curve: str) -> Diagnosis:
     """A log of an axis with one more friction over speed than its file says."""
     forces: dict[str, Callable[[Array], Array]] = {
         "power": lambda v: 18.0 * np.sign(v) * np.abs(v) ** 0.5,
-        "logarithm": lambda v: 1.3 * np.sign(v) * np.log1p(np.abs(v) / 0.004),
         "eddy currents": lambda v: 30.0 * v / (1.0 + (v / 0.15) ** 2),
     }
     axis = machine()
     path = make_trajectory("mixed", axis.sampling.rate, duration_s=10.0, max_velocity=0.4)
-    run = simulate_axis(axis, path, AxisConfig(seed=2, force_noise_N=noise_N))
+    run = simulate_axis(axis, path, AxisConfig(seed=2, force_noise_N=0.05))
     # The controller holds the reference against it: it shows in the force alone.
     log = replace(run.log, force_N=run.log.force_N + forces[curve](path.velocity_m_s))
     return diagnose(axis, log)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -106,9 +106,9 @@ def judge(final: FinalFit) -> Judged:
     if found.causes:
         found = restore_undetermined(final, found)
         if verdict == "unexplained" and _leaves_curve(final, found.selection.fit):
-            found = replace(found, causes=tuple(replace(c, stands_in=_may_stand_in(c.name)) for c in found.causes))
+            found = _mark_stand_ins(found, _may_stand_in)
         elif any(_is_any_curve(c.name) for c in found.causes):
-            found = replace(found, causes=tuple(replace(c, stands_in=_is_part_of_curve(c.name)) for c in found.causes))
+            found = _mark_stand_ins(found, _is_part_of_curve)
     log_decision(
         "verdict",
         "residual beyond noise is within what a complete explanation may leave, and no curve over speed is left",
@@ -137,6 +137,10 @@ def _without_causes(final: FinalFit, found: Confirmed, plain: Fit) -> Confirmed:
     blind = fit_model(subject, (), refitted=groups, warm=fit, rows=final.seen) if groups else fit
     selection = replace(found.selection, fit=fit, refitted=groups, unnamed=groups, rivals=())
     return Confirmed(selection, blind, ())
+
+
+def _mark_stand_ins(found: Confirmed, stands_in: Callable[[str], bool]) -> Confirmed:
+    return replace(found, causes=tuple(replace(c, stands_in=stands_in(c.name)) for c in found.causes))
 
 
 def _may_stand_in(name: str) -> bool:

@@ -184,9 +184,7 @@ def make_final_fit(
         fit = _fit_without(views.fine, fit, dropped)
         cov = covariance(views.fine, fit)
         if mass is None and wanted.mass and views.fine.rows.inertia > 0.0:
-            beside = _beside_mass(free, cov_free, fit, cov)
-            for name in beside:
-                cov[fit.place(name), fit.place(name)] = cov_free[free.place(name), free.place(name)]
+            cov, beside = _widen_beside_mass(free, cov_free, fit, cov)
     if not found.decided:
         cov = cov + _law_covariance(views.fine, fit)
     if noise_share(views.fine, fit) > MASS_NOISE:
@@ -395,14 +393,18 @@ def _fit_without(view: RecordView, fit: AxisFit, names: Collection[str]) -> Axis
     return drop_empty(view, fit_axis(view, terms, fit.shape, iterations=FINAL_ITERATIONS))
 
 
-def _beside_mass(free: AxisFit, cov_free: Array, fit: AxisFit, cov: Array) -> tuple[str, ...]:
-    """Return the effects that are less sure beside a free mass than beside the one that was given.
+def _widen_beside_mass(free: AxisFit, cov_free: Array, fit: AxisFit, cov: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return the covariance with effects as sure as beside a free mass, and the names of those that are less sure so.
 
     The motion may show their sum alone: at one frequency a spring is what the mass is wrong by.
     """
-    names = [term.name for term in fit.terms if term.name not in LAW_AND_SAMPLING]
-    places = {name: (free.place(name), fit.place(name)) for name in names}
-    return tuple(name for name, (a, b) in places.items() if cov_free[a, a].trace() > cov[b, b].trace())
+    wide, names = cov.copy(), []
+    for name in (term.name for term in fit.terms if term.name not in LAW_AND_SAMPLING):
+        place, own = fit.place(name), free.place(name)
+        if cov_free[own, own].trace() > cov[place, place].trace():
+            wide[place, place] = cov_free[own, own]
+            names.append(name)
+    return wide, tuple(names)
 
 
 def is_apart(fit: AxisFit, cov: Array, view: RecordView) -> bool | None:
