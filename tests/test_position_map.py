@@ -35,6 +35,7 @@ from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.evidence import Nuisance, find_nuisance, noise_floor
 from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.recordings.recording import prepare
+from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
@@ -265,8 +266,6 @@ def test_a_map_whose_other_sines_hardly_matter_is_ambiguous() -> None:
     assert ("force_ripple", "position_map") in [(a.name, a.instead_of) for a in diagnosis.alternatives if a.rival]
 
 
-# --- measured ---------------------------------------------------------------------------------------------------
-
 MOTOR = """
 name = "motor"
 plant = { kind = "rotary", inertia = 1e-6 }
@@ -282,12 +281,39 @@ torque_Nm = { row = 3, unit = "A", scale = 0.0083 }
 NOISE = 1e-3  # N m, of the weight of the prior
 
 
+def motor(folder: Path) -> Machine:
+    """A small brushless motor, its log in an encoder's counts and amperes."""
+    (folder / "motor.toml").write_text(MOTOR, encoding="utf-8")
+    return load_machine(folder / "motor.toml")
+
+
+@pytest.mark.parametrize("turns", [0.3, 0.5])
+def test_no_sine_of_a_map_is_longer_than_what_was_passed_twice(turns: float, tmp_path: Path) -> None:
+    """One way over part of a turn: what wanders beside cogging is no sine, and the turn tells those of the cogging."""
+    machine, random, time = motor(tmp_path), np.random.default_rng(7), np.arange(7_000) / 440.0
+    angle = 2.0 * math.pi * turns * time / time[-1]
+    cogging = 7e-3 * np.sin(7 * angle) + 4e-3 * np.cos(28 * angle) + 2e-3 * np.sin(12 * angle)
+    wandering = 1.5e-3 * np.cumsum(random.normal(size=time.size)) / math.sqrt(time.size)
+    torque = 1.5e-3 + cogging + wandering + 1e-3 * random.normal(size=time.size)
+    recording = prepare(machine, Log(time, angle, torque, 440.0, kind="rotary", source="one_way.csv"))
+    subject = replace(Subject.of(machine, recording), noise=NOISE)
+    base = fit_model(subject, ())
+    free = find_nuisance(base.jacobian[recording.used][:, base.interior])
+    (found,) = search(subject, base, ["position_map"], free)
+    sines = [found.parameters["pitch_m"] / n for key, n in found.parameters.items() if key.startswith("order")]
+    assert max(sines) < 1.05 * 2.0 * math.pi * turns / 2.0
+    for order in (7, 12, 28):
+        assert min(abs(2.0 * math.pi / sine - order) for sine in sines) < 0.3 / turns, sines
+
+
+# --- measured ---------------------------------------------------------------------------------------------------
+
+
 def test_a_measured_motor_s_cogging_is_mapped_as_well_as_by_its_ten_strongest_harmonics(
     measured_data: Callable[[str], Path], tmp_path: Path
 ) -> None:
     """One turn, one way: what the map leaves on blocks that its fit has not seen, and what plain least squares does."""
-    (tmp_path / "motor.toml").write_text(MOTOR, encoding="utf-8")
-    machine = load_machine(tmp_path / "motor.toml")
+    machine = motor(tmp_path)
     recording = prepare(machine, read_log(measured_data("odrive/slow2_slower_nocomp_0.npy"), machine))
     subject = replace(Subject.of(machine, recording), noise=NOISE)
     base, used, held = fit_model(subject, ()), recording.used, recording.rows_held_out()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import Final
 
 import numpy as np
@@ -38,8 +38,7 @@ PERIODS_REFINED: Final = 3
 FEW: Final = 3  # sines of a map, one of them its first, whose period is not doubted
 RELATED_REFINED: Final = 8
 STRONGEST: Final = 3  # of a map's sines: those that may be of other orders at the right period
-PARTS: Final = 40  # of a period: each is visited or not
-VISITED: Final = 0.95  # share of them from which a map is looked for
+PASSES: Final = 1.6  # of a period that a record must hold: of less a sine is a trend, told by nothing but itself
 NOTHING: Final = 1e-8  # of a column's square: what must be left of it beside the others
 STEP: Final = 0.25  # of the resolution that the travel gives
 ENTRY_GAIN: Final = 0.4
@@ -143,6 +142,13 @@ class _Search:
         """Range of position [m]."""
         return float(np.ptp(self.x))
 
+    @cached_property
+    def longest(self) -> float:
+        """The longest period of a sine [m], from the way out and from how far the axis came back."""
+        rise = float(np.max(self.x - np.minimum.accumulate(self.x)))
+        fall = float(np.max(np.maximum.accumulate(self.x) - self.x))
+        return min(self.kind.room * self.travel, (self.travel + min(rise, fall)) / PASSES)
+
     @property
     def least_gain(self) -> float:
         """Sum of squares that one order has to explain [N^2]."""
@@ -151,14 +157,15 @@ class _Search:
     def carried(self, period: float) -> _Carried:
         """Orders of a period that gain on unseen folds, one after the other."""
         highest = min(int(self.kind.order.upper), int(period * self.finest))
+        lowest = math.ceil(period / self.longest)
         start = left = float(self.seen.e @ self.seen.e)
         taken: list[int] = []
-        if highest < 1 or not self.is_visited(period):
+        if highest < lowest:
             return _Carried(period, (), left)
         moments = _moments(self.seen, self.beside, self.x, self.slow, period, highest)
         H, b = moments.square(), moments.target.sum(axis=0)
-        while len(taken) < min(highest, MOST_SINES):
-            best = _most(H, b, taken)
+        while len(taken) < min(highest + 1 - lowest, MOST_SINES):
+            best = _most(H, b, taken, lowest)
             if best is None:
                 break
             trial = start - _unseen_gain(moments, _places([*taken, best]))
@@ -168,12 +175,6 @@ class _Search:
             taken.append(best)
             left = trial
         return _Carried(period, tuple(n + 1 for n in taken), left)
-
-    def is_visited(self, period: float) -> bool:
-        """Return True if the axis was everywhere in a period: elsewhere a map would be invented."""
-        turns = self.x / period
-        parts = np.minimum(PARTS - 1, (PARTS * (turns - np.floor(turns))).astype(np.int64))
-        return len(np.unique(parts)) >= VISITED * PARTS
 
     def refined(self, carried: _Carried) -> float:
         """The period near a carried one that explains most; of one half a period off over the travel others begin."""
@@ -186,7 +187,7 @@ class _Search:
         def columns(period: float) -> Array:
             return np.asarray(root[:, None] * _columns(x, period, carried.orders))
 
-        return nearest_peak(gathered, columns, best, width, self.kind.room * self.travel)
+        return nearest_peak(gathered, columns, best, width, self.longest * min(carried.orders))
 
     def nearest(self, carried: _Carried) -> _Carried:
         """Return the orders that the record carries at the refined period."""
@@ -215,20 +216,20 @@ class _Search:
             return exact
         strongest = best.orders[:STRONGEST]
         periods = {best.period * k / n for n in strongest for k in range(1, LARGEST_PART + 1) if k != n}
-        tried = sorted(period for period in periods if period <= self.kind.room * self.travel)
+        tried = sorted(period for period in periods if period <= self.longest)
         about = run_parallel([partial(self.carried, period) for period in tried])
         nearby = sorted((c for c in about if c.orders), key=lambda c: c.left)[:RELATED_REFINED]
         return exact + run_parallel([partial(self.nearest, c) for c in nearby])
 
 
-def _most(H: Array, b: Array, taken: Sequence[int]) -> int | None:
-    """The order (from 0) that explains most beside those taken; None where none does."""
+def _most(H: Array, b: Array, taken: Sequence[int], lowest: int) -> int | None:
+    """The order (from 0) that explains most beside those taken, of the `lowest` (from 1) on; None where none does."""
     inside = _places(taken)
     W = np.linalg.lstsq(H[np.ix_(inside, inside)], H[inside], rcond=1e-12)[0] if taken else H[:0]
     rest, square = b - W.T @ b[inside], H - H[:, inside] @ W
     gains = _pair_energies(rest, square, NOTHING * float(np.diag(H).max()) ** 2)
-    for n in taken:
-        gains[n] = 0.0
+    gains[: lowest - 1] = 0.0
+    gains[list(taken)] = 0.0
     best = int(np.argmax(gains))
     return best if gains[best] > 0.0 else None
 
@@ -238,7 +239,7 @@ def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual
     search = _make_search(kind, seen)
     if search is None:
         return None
-    periods = _periods(definition, kind, seen, search.travel)
+    periods = _periods(definition, search)
     found = run_parallel([partial(search.carried, period) for period in periods])
     found = sorted((c for c in found if c.orders), key=lambda c: c.left)[:PERIODS_REFINED]
     if not found:
@@ -282,16 +283,19 @@ def _make_search(kind: Periodic, seen: Residual) -> _Search | None:
     )
 
 
-def _periods(definition: EffectDefinition, kind: Periodic, seen: Residual, travel: float) -> list[float]:
-    """Periods to try, the shortest first: small multiples of the strongest sines', a turn, the whole travel."""
-    longest = kind.room * travel
+def _periods(definition: EffectDefinition, search: _Search) -> list[float]:
+    """Periods to try, the shortest first: small multiples of the strongest sines', the whole travel, and a turn.
+
+    A record may show a turn's shorter sines alone.
+    """
+    kind, seen = search.kind, search.seen
     sines = search_harmonic(definition, kind.sine, seen)
     periods = [p.parameters[kind.sine.period] * k for p in sines for k in range(1, LARGEST_PART + 1)]
-    periods += [travel, longest]
+    periods = [p for p in (*periods, search.travel, kind.room * search.travel) if p <= search.longest]
     if seen.recording.machine.plant.kind == "rotary":
         periods += [TWO_PI]
     kept: list[float] = []
-    for period in sorted(p for p in periods if p <= longest):
+    for period in sorted(periods):
         if not kept or period > (1.0 + SAME_PERIOD) * kept[-1]:
             kept.append(period)
     return kept

@@ -74,7 +74,8 @@ DEFINITION = EffectDefinition(
     name="position_map",
     summary="force over position, of any shape that repeats",
     parameters=(
-        replace(pitch(0.032, 0.001), most=lambda extents: ROOM * max(extents.travel, 1e-6)),
+        # Of a turn a record may show the shorter sines alone.
+        replace(pitch(0.032, 0.001), most=lambda extents: ROOM * max(extents.travel, 2.0 * math.pi)),
         _ORDER,
         _SINE,
         _COSINE,
