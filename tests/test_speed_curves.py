@@ -60,6 +60,8 @@ def test_a_curve_of_another_form_is_named_and_not_its_imitations(tmp_path: Path)
     # Beside its numbers only one of the machine's may be listed, as what may stand for a rest of the curve.
     others = [c for c in diagnosis.causes if c is not curve]
     assert all(c.name in BASE_CAUSES and c.stands_in for c in others)
+    listed = diagnosis.summary.split(" (")[0].split(":")[0].split(", and more")[0].split(". ")[-1]
+    assert listed == "friction_curve", diagnosis.summary
     for c in others:
         assert any(c.name in limit and "curve" in limit for limit in diagnosis.limits)
     assert diagnosis.rms.held_out_after < 0.02 * diagnosis.rms.held_out_before

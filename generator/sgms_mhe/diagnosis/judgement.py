@@ -14,7 +14,7 @@ from sgms_mhe.diagnosis.causes import (
     refit_numbers,
     restore_undetermined,
 )
-from sgms_mhe.diagnosis.criteria import GAIN_SHARE, material_force, small_force
+from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.final_fit import ALLOWED_ENCODER, FinalFit
 from sgms_mhe.diagnosis.fits import Fit, fit_model
 from sgms_mhe.diagnosis.parametrisation import ParameterGroup, machine_groups
@@ -88,19 +88,7 @@ def judge(final: FinalFit) -> Judged:
         verdict = "unexplained"
         # Something is left; but causes that are the same everywhere in the record are none the less real.
         found = confirm_constant_causes(final, final.selection)
-        # What refitted numbers explain that are no cause is no merit of the causes.
-        before = final.excess(final.fit((), refitted=found.selection.unnamed))
-        kept = final.excess(found.selection.fit)
-        certain = bool(found.causes) and kept < (1.0 - GAIN_SHARE) * before
-        log_decision(
-            "verdict",
-            "causes of an unexplained record are listed where they leave clearly less",
-            causes=[cause.label for cause in found.causes],
-            residual_beyond_noise_N=kept,
-            allowed_N=(1.0 - GAIN_SHARE) * before,
-            listed=certain,
-        )
-        if not certain:
+        if not found.causes:
             found = _without_causes(final, found, plain)
             plain = found.selection.fit
     if found.causes:

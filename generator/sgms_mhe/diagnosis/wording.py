@@ -108,6 +108,9 @@ def summarise(
             return f"{own[:-1]}; {rest}."
         return f"{own} {summarise(verdict, causes, rivals, before, after, units, noise)}"
     names = [cause.name for cause in causes]
+    doubted = ", ".join(cause.name for cause in causes if cause.stands_in)
+    certain = ", ".join(cause.name for cause in causes if not cause.stands_in)
+    also = f" ({doubted} for a curve over speed)" if doubted else ""
     gain = f"the residual on data not used in the fit goes from {before:.3g} {unit} to {after:.3g} {unit} RMS"
     if verdict == "adequate":
         return f"The simulation explains the record; {before:.3g} {unit} RMS are left, nothing is named."
@@ -117,13 +120,10 @@ def summarise(
     if verdict == "unexplained" and not causes:
         return f"{before:.3g} {unit} RMS are left that no known effect accounts for; nothing is named."
     if verdict == "unexplained":
-        doubted = [cause.name for cause in causes if cause.stands_in]
-        certain = [cause.name for cause in causes if not cause.stands_in]
         if not certain:
-            return f"{', '.join(doubted)} in place of a curve over speed that no known effect has: {gain}."
-        also = f" ({', '.join(doubted)} for a curve over speed)" if doubted else ""
-        return f"{', '.join(certain)}, and more that no known effect accounts for{also}: {gain}."
+            return f"{doubted} in place of a curve over speed that no known effect has: {gain}."
+        return f"{certain}, and more that no known effect accounts for{also}: {gain}."
     if verdict == "ambiguous":
         others = [name for name in dict.fromkeys(rival.name for rival in rivals) if name not in names]
-        return f"{', '.join(names)}, but {', '.join(others)} would fit as well: {gain}."
-    return f"{', '.join(names)}: {gain}."
+        return f"{certain}{also}, but {', '.join(others)} would fit as well: {gain}."
+    return f"{certain}{also}: {gain}."
