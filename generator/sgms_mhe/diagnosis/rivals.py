@@ -34,7 +34,7 @@ from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, gain_force, score_test
 from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.support.decisions import log_decision
-from sgms_mhe.support.parallel import run_parallel
+from sgms_mhe.support.parallel import run_parallel, workers
 
 Judgement = Literal["better", "rival", "worse", "untried"]
 EQUAL_SHARE: Final = 0.15
@@ -129,8 +129,8 @@ def find_rivals(
     rivals: list[Rival] = []
     rejected: dict[str, Rejected] = {}
     groups = (*(() if subject.is_open else refitted), *fit.candidate_groups)
-    places = run_parallel([partial(_place, subject, fit, refitted, group, seen, criteria) for group in groups])
-    for k, place in enumerate(places):
+    make_place = partial(_place, subject, fit, refitted, seen=seen, criteria=criteria)
+    for k, place in enumerate(_list_ahead(make_place, groups)):
         if place is None:
             continue
         comparing = partial(criteria.progress.report_rivals, number, k / len(groups), place.cause)
@@ -145,11 +145,21 @@ def find_rivals(
     return Contest(None, tuple(rivals), rejected)
 
 
+def _list_ahead(
+    make_place: Callable[[ParameterGroup], _RivalPlace | None], groups: Sequence[ParameterGroup]
+) -> Iterator[_RivalPlace | None]:
+    """Return the places of causes in their order, as many made at a time as there are cores: most may not be needed."""
+    ahead = workers()
+    for first in range(0, len(groups), ahead):
+        yield from run_parallel([partial(make_place, group) for group in groups[first : first + ahead]])
+
+
 def _place(
     subject: Subject,
     fit: Fit,
     refitted: tuple[ParameterGroup, ...],
     group: ParameterGroup,
+    *,
     seen: Collection[str],
     criteria: Criteria,
 ) -> _RivalPlace | None:

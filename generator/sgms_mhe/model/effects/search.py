@@ -154,7 +154,7 @@ class Periodic:
     order: EffectParameter
     cosine: str
     room: float
-    costly: ClassVar[bool] = False
+    costly: ClassVar[bool] = True
 
 
 Search = Columns | Harmonic | Periodic | Step | Derivative | Trials
