@@ -14,6 +14,7 @@ from sgms_mhe.diagnosis.harmonics import list_smoothed
 from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.identification.search import element_numbers
 from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.excitation import in_step
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.signals.logs import Log
 
@@ -112,3 +113,15 @@ def test_numbers_to_start_from_are_of_elements_that_slid() -> None:
     for noise in (1e-5, 2e-4):
         found = element_numbers(record, noise)
         assert found.get("coulomb", 0.0) <= float(np.abs(record.friction[record.used]).max())
+
+
+@pytest.mark.parametrize(("laps", "known"), [(3.4, False), (5.3, True), (9.6, True)])
+def test_a_motion_that_comes_again_shows_no_clock_at_multiples_of_its_laps(laps: float, known: bool) -> None:
+    """Forth and back at one speed: a force over place and direction is a sum of sines in time, multiples of a lap's."""
+    lap, time = 2.0, np.arange(round(laps * 2.0 * RATE)) / RATE
+    angle = 0.5 * np.abs((time / lap) % 1.0 - 0.5)
+    torque = 0.002 * np.sign(np.gradient(angle))
+    log = Log(time, angle, torque, RATE, kind="rotary", source="laps.csv")
+    recording = prepare(rotor(100.0), log)
+    times = np.array([3.0, 6.0, 6.5, 11.5]) / lap
+    assert in_step(recording, times).tolist() == [known, known, False, False]

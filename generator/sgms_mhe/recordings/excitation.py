@@ -28,7 +28,7 @@ UNLIKE: Final = 0.5
 """Correlation that it has fallen below before a lap is over."""
 SLOWEST: Final = 0.5
 """Turns in a lap from which a frequency may be a multiple of one over it."""
-LAPS: Final = 8
+LAPS: Final = 4
 """Of a record, at least: with fewer, nearly every frequency is near a multiple of one over a lap."""
 APART: Final = 0.6
 """Frequencies that a record tells apart, over one over its length."""
