@@ -13,6 +13,7 @@ import numpy as np
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import (
     CLOSE,
+    EQUAL_EXCESS,
     EQUAL_T,
     PROMISING,
     SAME_FORCE,
@@ -282,16 +283,16 @@ def _compare(
     unseen = has_same_clock or (name in EFFECT_NAMES and name not in criteria.excited)
     if is_ruled_out(trial, name, subject):
         return "worse", max(0.0, excess)
-    as_good = excess < material
+    as_good = excess < EQUAL_EXCESS * material
     if as_good and unseen:
         return "rival", excess  # however well it fits: the record does not hold what would show it
     clearly = _is_clear(t, excess, criteria)
-    simpler = as_good and name in cause(place.cause).simpler.causes
-    if simpler and t > EQUAL_T:
+    simpler = name in cause(place.cause).simpler.causes and excess < material
+    if simpler and t > EQUAL_T and excess > EQUAL_EXCESS * material:
         return "rival", excess  # something more is there for sure, but not enough to matter
     if clearly or simpler:
         return "better", excess
-    hardly = excess > -material or t > -EQUAL_T
+    hardly = excess > -EQUAL_EXCESS * material or t > -EQUAL_T
     if place.cause in cause(name).simpler.causes and hardly:
         return "worse", max(0.0, excess)  # more numbers and no better: it only imitates
     # The start and the stop pull at the numbers of what is told by them alone.
@@ -307,7 +308,7 @@ def _is_clearly_better(fit: Fit, trial: Fit, criteria: Criteria) -> bool:
 
 
 def _is_clear(t: float, excess: float, criteria: Criteria) -> bool:
-    return t < -EQUAL_T and excess < -criteria.material
+    return t < -EQUAL_T and excess < -EQUAL_EXCESS * criteria.material
 
 
 def cause_significance(subject: Subject, fit: Fit, group: ParameterGroup) -> float:
