@@ -16,7 +16,8 @@ from scipy.signal import lfilter
 
 from diagnosis_cases import explained
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis import Diagnosis, diagnose, learned_machine, learner, write_diagnosis
+from sgms_mhe.diagnosis import Diagnosis, diagnose, judgement, learned_machine, learner, write_diagnosis
+from sgms_mhe.diagnosis.causes import Confirmed
 from sgms_mhe.diagnosis.coordinates import Coordinate, cubic, memory_of_reversals, warp
 from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.learned import Learned, LearnedRecord, LearnedTerm
@@ -333,8 +334,9 @@ def test_records_that_it_does_not_hold_on_are_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_it_is_judged_on_another_record(tmp_path: Path) -> None:
-    """By a whole diagnosis: with the places where they are it gains, with another origin it is found again."""
+def test_it_is_judged_on_another_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a whole diagnosis that names nothing: a map that transfers would have both records fitted together."""
+    monkeypatch.setattr(judgement, "confirm_constant_causes", lambda _, chosen: Confirmed(chosen, chosen.fit, ()))
     axis = machine_file(tmp_path)
     here, there = moved_with_force(0.2, 1), moved_with_force(0.17, 2)
     found = diagnose(axis, here, others=[there])
