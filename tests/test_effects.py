@@ -286,8 +286,7 @@ def test_declared_parameters_are_consistent(name: str) -> None:
     assert any(p.none == p.default for p in sizes)
     assert all(p.role == "place" or p.is_optional for p in definition.parameters if p.frozen)
     assert all(p.name.endswith("_s") and definition.full_rate for p in definition.parameters if p.timing)
-    # The search for a linear effect runs no model; that for a map takes long by its periods.
-    assert not (definition.linear and (definition.states or (definition.costly and not definition.periodic)))
+    assert not (definition.linear and (definition.states or definition.costly))
     extents = Extents(travel=0.2, speed=0.5, duration=10.0, end=12.0, rate=1000.0)
     for p in definition.parameters:
         nominal = p.default or p.scale

@@ -38,7 +38,7 @@ def machine() -> Machine:
     return small_axis()
 
 
-def diagnosed(
+def make_diagnosis(
     machine: Machine, log: Log, hidden: Sequence[Hidden], friction: Mapping[str, float] | None = None
 ) -> Diagnosis:
     """A diagnosis that found what is hidden, number by number."""
@@ -68,14 +68,14 @@ def diagnosed(
     )
 
 
-def judged(machine: Machine, hidden: Sequence[Hidden], others: Sequence[Log], **changes: Any) -> Diagnosis:
+def judge_hidden(machine: Machine, hidden: Sequence[Hidden], others: Sequence[Log], **changes: Any) -> Diagnosis:
     first = record_axis(machine, 1, hidden)
-    return judge_on_records(diagnosed(machine, first, hidden, **changes), first, others, lambda _: None)
+    return judge_on_records(make_diagnosis(machine, first, hidden, **changes), first, others, lambda _: None)
 
 
 def test_a_ripple_transfers_to_another_power_up_and_temperature(machine: Machine) -> None:
     other = record_axis(machine, 2, [RIPPLE], scale=COLD, origin=0.0061, offset=0.3)
-    found = judged(machine, [RIPPLE, ASYMMETRY], [other])
+    found = judge_hidden(machine, [RIPPLE, ASYMMETRY], [other])
     ripple, asymmetry = found.causes
     assert ripple.transfers is True
     assert asymmetry.transfers is False  # the other record has none
@@ -91,7 +91,7 @@ def test_a_ripple_transfers_to_another_power_up_and_temperature(machine: Machine
 
 def test_what_both_records_have_leaves_no_more_than_noise(machine: Machine) -> None:
     hidden = [RIPPLE, ASYMMETRY]
-    found = judged(machine, hidden, [record_axis(machine, 2, hidden, scale=COLD, origin=-0.0021, offset=-0.2)])
+    found = judge_hidden(machine, hidden, [record_axis(machine, 2, hidden, scale=COLD, origin=-0.0021, offset=-0.2)])
     _, record = found.records
     assert [cause.transfers for cause in found.causes] == [True, True]
     assert record.origin_m % 0.0171 == pytest.approx(-0.0021 % 0.0171, abs=5e-5)  # one ripple: but for its periods
@@ -104,16 +104,16 @@ def test_what_both_records_have_leaves_no_more_than_noise(machine: Machine) -> N
 def test_a_homed_axis_has_one_origin(machine: Machine) -> None:
     homed = override_machine(machine, {"log": {"homed": True}})
     other = record_axis(machine, 2, [RIPPLE], origin=0.0171 / 2.0)  # the opposite phase
-    found = judged(homed, [RIPPLE], [other, record_axis(machine, 3, [RIPPLE])])
+    found = judge_hidden(homed, [RIPPLE], [other, record_axis(machine, 3, [RIPPLE])])
     assert found.causes[0].transfers is False
     assert [record.origin_m for record in found.records] == [0.0, 0.0, 0.0]
     assert found.records[1].causes[0].gain_interval_N[1] < 0.0 < found.records[2].causes[0].gain_interval_N[0]
-    assert judged(machine, [RIPPLE], [other]).causes[0].transfers is True
+    assert judge_hidden(machine, [RIPPLE], [other]).causes[0].transfers is True
 
 
 def test_two_ripples_say_the_origin_beyond_a_period(machine: Machine) -> None:
     hidden = [RIPPLE, FINE_RIPPLE]
-    found = judged(machine, hidden, [record_axis(machine, 2, hidden, origin=0.0243)])
+    found = judge_hidden(machine, hidden, [record_axis(machine, 2, hidden, origin=0.0243)])
     assert [cause.transfers for cause in found.causes] == [True, True]
     assert found.records[1].origin_m == pytest.approx(0.0243, abs=5e-5)
 
@@ -121,9 +121,9 @@ def test_two_ripples_say_the_origin_beyond_a_period(machine: Machine) -> None:
 def test_a_level_is_judged_as_it_was_found(machine: Machine) -> None:
     level = 1.25 * machine.friction.coulomb
     same, other = (record_axis(machine, seed, (), scale={"coulomb": factor}) for seed, factor in ((2, 1.25), (3, 1.0)))
-    found = judged(machine, (), [same], friction={"coulomb": level})
+    found = judge_hidden(machine, (), [same], friction={"coulomb": level})
     assert found.causes[0].transfers is True
-    found = judged(machine, (), [same, other], friction={"coulomb": level})
+    found = judge_hidden(machine, (), [same, other], friction={"coulomb": level})
     assert found.causes[0].transfers is False
     # As a property of the record it is fitted, and no error of either machine.
     assert found.records[2].held_out_after < 1.1 * found.records[2].noise_floor_N
@@ -131,14 +131,14 @@ def test_a_level_is_judged_as_it_was_found(machine: Machine) -> None:
 
 def test_records_that_do_not_show_a_cause_say_nothing_of_it(machine: Machine) -> None:
     tiny = ("asymmetric_coulomb", {"ratio": 0.001})
-    found = judged(machine, [tiny], [record_axis(machine, 2, ())])
+    found = judge_hidden(machine, [tiny], [record_axis(machine, 2, ())])
     assert found.causes[0].transfers is None
     assert found.contradictions == ()
 
 
 def test_a_machine_worse_than_plain_friction_is_not_recommended(machine: Machine) -> None:
     wrong = ("force_ripple", {"amplitude_N": 8.0, "pitch_m": 0.0171, "phase_rad": 0.0})
-    found = judged(machine, [wrong], [record_axis(machine, 2, ())])
+    found = judge_hidden(machine, [wrong], [record_axis(machine, 2, ())])
     _, record = found.records
     assert record.held_out_after > record.plain
     (sentence,) = (limit for limit in found.limits if "not recommended" in limit)
@@ -164,7 +164,7 @@ def together(
 ) -> Diagnosis:
     """Several records that hide one thing, of which the first was found to have another."""
     first = record_axis(machine, 1, hidden, scale={"coulomb": 0.8}, offset=0.4)
-    return judge_on_records(diagnosed(machine, first, found, **changes), first, others, lambda _: None)
+    return judge_on_records(make_diagnosis(machine, first, found, **changes), first, others, lambda _: None)
 
 
 def test_numbers_are_those_of_all_records_together(machine: Machine) -> None:
@@ -220,7 +220,7 @@ def test_a_level_is_the_mean_of_the_records_and_as_uncertain_as_they_differ(mach
     level = machine.friction.coulomb
     others = [record_axis(machine, 2, (), scale={"coulomb": 1.4}), record_axis(machine, 3, (), scale={"coulomb": 1.2})]
     first = record_axis(machine, 1, (), scale={"coulomb": 1.3})
-    found = diagnosed(machine, first, (), friction={"coulomb": 1.3 * level})
+    found = make_diagnosis(machine, first, (), friction={"coulomb": 1.3 * level})
     (cause,) = judge_on_records(found, first, others, lambda _: None).causes
     assert cause.transfers is True
     assert cause.parameters["coulomb_N"] == pytest.approx(1.3 * level, rel=0.01)

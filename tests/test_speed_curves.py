@@ -38,7 +38,7 @@ def machine() -> Machine:
 
 
 @cache
-def diagnosed(curve: str) -> Diagnosis:
+def diagnose_curve(curve: str) -> Diagnosis:
     """A log of an axis with one more friction over speed than its file says."""
     forces: dict[str, Callable[[Array], Array]] = {
         "power": lambda v: 18.0 * np.sign(v) * np.abs(v) ** 0.5,
@@ -53,7 +53,7 @@ def diagnosed(curve: str) -> Diagnosis:
 
 
 def test_a_curve_of_another_form_is_named_and_not_its_imitations(tmp_path: Path) -> None:
-    diagnosis = diagnosed("power")
+    diagnosis = diagnose_curve("power")
     certain = [c for c in diagnosis.causes if diagnosis.identifies(c)]
     assert [c.name for c in certain] == ["friction_curve"], diagnosis.summary
     (curve,) = certain
@@ -80,7 +80,7 @@ def test_a_curve_of_another_form_is_named_and_not_its_imitations(tmp_path: Path)
 
 
 def test_a_curve_of_the_catalogue_is_itself() -> None:
-    diagnosis = diagnosed("eddy currents")
+    diagnosis = diagnose_curve("eddy currents")
     assert diagnosis.verdict == "explained"
     assert [c.name for c in diagnosis.causes] == ["eddy_current_damping"]
     assert all(diagnosis.identifies(c) for c in diagnosis.causes)

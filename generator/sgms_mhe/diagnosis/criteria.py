@@ -42,9 +42,8 @@ SMALL_GAIN: Final = 0.007
 """Gain from which on more than an effect explains may be left beside it, and of any wrong number [f_C]: a smaller one
 may be a part of what is left, or of what the law gets wrong."""
 GAIN_SHARE: Final = 0.25
-"""Gain that an effect must have to be added, and causes that are listed though something is left [RMS beyond noise]: a
-small share of a lot only imitates a part of what is really there. What is left when a search ends tells no smaller one
-from itself."""
+"""Gain that an effect must have to be added [RMS beyond noise]: a small share of a lot only imitates a part of what is
+really there. What is left when a search ends tells no smaller one from itself."""
 PROMISING: Final = 0.7
 """Linear gain from which a candidate is refitted [gain to be added, of the cause whose place it takes, and of the best
 one where its force is linear in its sizes]: a refit finds more."""

@@ -153,7 +153,7 @@ def _candidates(
 
 
 def _worth_a_search(current: Fit, found: Sequence[Ranked], seen: Collection[str], criteria: Criteria) -> list[str]:
-    """Effects whose search takes long: where the others leave something, or look like one of them."""
+    """Effects whose search runs models: where the others leave something, or look like one of them."""
     costly = [name for name in criteria.excited if effect_definition(name).costly]
     best = max((r for r in found if r.proposal.feasible), key=lambda r: r.gain, default=None)
     if best is None:

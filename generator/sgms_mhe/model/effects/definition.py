@@ -166,7 +166,7 @@ class EffectDefinition(CauseDefinition):
 
     @property
     def costly(self) -> bool:
-        """Return True if its search takes long: it is made only where the residual supports the effect."""
+        """Return True if its search runs models many times: made only where the residual supports the effect."""
         return self.search.costly
 
     @property

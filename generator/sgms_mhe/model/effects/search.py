@@ -154,7 +154,7 @@ class Periodic:
     order: EffectParameter
     cosine: str
     room: float
-    costly: ClassVar[bool] = True
+    costly: ClassVar[bool] = False
 
 
 Search = Columns | Harmonic | Periodic | Step | Derivative | Trials
