@@ -152,8 +152,8 @@ static double bound_speed(double v, double scale)
 
 static double add_table(const struct axis_view *at, double force)
 {
-    const double *p = at->p, cells[3] = {p[0], p[3], p[7]};
-    const double value[3] = {at->position, bound_speed(at->v, p[4]), at->x[0]};
+    const double *p = at->p, cells[3] = {p[0], p[3], p[8]}, v = p[7] > 0.0 ? at->x[1] : at->v;
+    const double value[3] = {at->position, bound_speed(v, p[4]), at->x[0]};
     const double low[3] = {p[1], bound_speed(p[5], p[4]), -1.0}, high[3] = {p[2], bound_speed(p[6], p[4]), 1.0};
     for (size_t k = 0; k < at->effect->entries; ++k) {
         double share = at->effect->table[k];
@@ -170,11 +170,13 @@ static double add_table(const struct axis_view *at, double force)
     return force;
 }
 
+/* States of a table: travel since a reversal, and the speed that follows late. */
 static void move_memory(const struct axis *axis, struct axis_effect *effect)
 {
-    const double v = axis->velocity;
-    double *memory = &effect->state[0];
-    *memory = sign(v) + (*memory - sign(v)) * exp(-fabs(v) * axis->step / effect->parameter[8]);
+    const double *p = effect->parameter, v = axis->velocity;
+    double *memory = &effect->state[0], *late = &effect->state[1];
+    *memory = sign(v) + (*memory - sign(v)) * exp(-fabs(v) * axis->step / p[9]);
+    *late = p[7] > 0.0 ? v + (*late - v) * exp(-axis->step / p[7]) : v;
 }
 
 static double call_own_force(const struct axis_view *at, double force)
@@ -420,10 +422,10 @@ static const struct axis_effect_row table[] = {
     {"drive_efficiency", {"efficiency_ratio"}, .change = {[AXIS_LOAD_LEVEL] = add_loss}},
     /* force = sum over its sines of sine sin(2 pi order q / pitch) + cosine cos(...); one effect of the plant each */
     {"position_map", {"pitch_m", "order", "sine_N", "cosine_N"}, .change = {[AXIS_OTHER_FORCE] = add_map_sine}},
-    /* force = sum of force_ij times splines of place, speed or travel since a reversal */
+    /* force = sum of force_ij times splines of place, speed (its own or a late one) or travel since a reversal */
     {"learned_residual",
      {"place_cells", "place_low_m", "place_high_m", "speed_cells", "speed_scale_m_s", "speed_low_m_s", "speed_high_m_s",
-      "travel_cells", "travel_length_m", "force_N"},
+      "speed_lag_s", "travel_cells", "travel_length_m", "force_N"},
      .has_table = 1,
      .change = {[AXIS_OTHER_FORCE] = add_table},
      .move = move_memory},

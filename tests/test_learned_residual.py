@@ -18,7 +18,7 @@ from diagnosis_cases import explained
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, judgement, learned_machine, learner, write_diagnosis
 from sgms_mhe.diagnosis.causes import Confirmed
-from sgms_mhe.diagnosis.coordinates import Coordinate, cubic, memory_of_reversals, warp
+from sgms_mhe.diagnosis.coordinates import Coordinate, Warp, cubic, follow_late, memory_of_reversals
 from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.learned import Learned, LearnedRecord, LearnedTerm
 from sgms_mhe.diagnosis.learned_machine import add_learned_machine
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 NOISE_N = 0.05
 RATE = 200.0  # rows of a record per second
 CURVE = Learned(
-    (LearnedTerm((Coordinate("speed", 0.1, -0.8, 0.8, 2),), np.array([0.0, 0.1, 0.2, 0.1, 0.0])),),
+    (LearnedTerm((Coordinate(Warp("speed", 0.1), -0.8, 0.8, 2),), np.array([0.0, 0.1, 0.2, 0.1, 0.0])),),
     held_out_before=0.4,
     held_out_after=0.2,
     gain_interval=(0.4, 0.6),
@@ -80,7 +80,7 @@ def learn(recording: Recording, residual: Array) -> Learned | None:
 def predict(learned: Learned, recording: Recording) -> Array:
     """Force (m) along a record [N], by the sum that the documents state."""
     motion = recording.position, recording.velocity, 1.0 / recording.rate
-    terms = [term.at(*(warp(c.kind, c.scale, *motion) for c in term.coordinates)) for term in learned.terms]
+    terms = [term.at(*(c.warp.along(*motion) for c in term.coordinates)) for term in learned.terms]
     return np.asarray(np.sum(terms, axis=0))
 
 
@@ -88,7 +88,7 @@ def test_splines_are_those_of_scipy_sum_to_one_and_end_in_zero() -> None:
     u = np.linspace(-1.0, 5.0, 601)
     known = BSpline.basis_element(np.arange(5.0), extrapolate=False)(u)
     assert cubic(u) == pytest.approx(np.nan_to_num(known), abs=1e-15)
-    grid = Coordinate("place", 1.0, -0.2, 0.3, 7)
+    grid = Coordinate(Warp("place", 1.0), -0.2, 0.3, 7)
     inside, outside = np.linspace(-0.2, 0.3, 101), np.array([-9.0, -0.2 - 3.01 / 14.0, 0.3 + 3.01 / 14.0, 9.0])
     assert grid.splines(inside).sum(axis=1) == pytest.approx(1.0, abs=1e-12)
     assert grid.splines(inside).shape == (101, grid.size)
@@ -102,6 +102,33 @@ def test_memory_of_a_reversal_is_that_of_its_differential_equation() -> None:
     assert state[4999] == pytest.approx(1.0 - np.exp(-5.0), rel=1e-9)
     assert state[7999] == pytest.approx(-1.0 + (1.0 + state[4999]) * np.exp(-3.0), rel=1e-9)
     assert state[-1] == state[7999]  # rest forgets nothing
+
+
+def test_late_speed_is_that_of_its_differential_equation() -> None:
+    lag, step = 0.1, 1e-3
+    time = step * np.arange(1, 501)
+    speed = follow_late(np.concatenate((np.full(500, 0.2), np.zeros(500))), step, lag)
+    assert speed[:500] == pytest.approx(0.2 * (1.0 - np.exp(-time / lag)), rel=1e-9)
+    assert speed[500:] == pytest.approx(speed[499] * np.exp(-time / lag), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_friction_that_follows_speed_late_is_learned_and_holds_on_another_record() -> None:
+    """By a tenth of a second, strongest at low speed: no place, speed or way since the reversal says it."""
+    here, there = record(), record(0.17)
+
+    def late_force(recording: Recording, seed: int) -> Array:
+        late = follow_late(recording.velocity, 1.0 / recording.rate, 0.1)
+        return np.tanh(late / 0.02) - np.tanh(recording.velocity / 0.02) + NOISE_N * noise(len(recording.time), seed)
+
+    learned = learn(here, late_force(here, 3))
+    assert learned is not None
+    assert "late speed" in learned.over
+    low, _ = learned.gain_interval
+    residual = late_force(there, 4)[there.used]
+    after = residual - predict(learned, there)[there.used]
+    gain = 1.0 - float(np.sqrt(np.mean(after**2) / np.mean(residual**2)))
+    assert gain > max(low, 0.5)
 
 
 @pytest.mark.slow
@@ -153,7 +180,7 @@ def test_no_memory_of_a_reversal_is_learned_before_an_axis_has_moved_its_length(
     data = learner._prepare(here, residual, residual)
     assert data is not None
     moved = (np.cumsum(np.abs(here.velocity)) / here.rate)[data.place]
-    lengths = [[c.scale for c in basis.coordinates if c.kind == "travel"] for basis in data.candidates]
+    lengths = [[c.warp.scale for c in basis.coordinates if c.kind == "travel"] for basis in data.candidates]
     assert any(lengths) and not all(lengths)
     for basis, length in zip(data.candidates, lengths, strict=True):
         known = data.X[:, basis.columns].any(axis=1)
@@ -187,7 +214,8 @@ def test_nothing_is_learned_where_nothing_is_left() -> None:
 
 def test_a_learned_residual_is_in_the_document_and_on_the_page(tmp_path: Path) -> None:
     table = LearnedTerm(
-        (Coordinate("place", 1.0, -0.1, 0.1, 2), Coordinate("travel", 0.01, -1.0, 1.0, 2)), np.full((5, 5), 0.1)
+        (Coordinate(Warp("place", 1.0), -0.1, 0.1, 2), Coordinate(Warp("travel", 0.01), -1.0, 1.0, 2)),
+        np.full((5, 5), 0.1),
     )
     learned = replace(CURVE, terms=(*CURVE.terms, table))
     diagnosis = replace(explained(machine()), verdict="unexplained", learned=learned)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis.coordinates import memory_of_reversals
+from sgms_mhe.diagnosis.coordinates import follow_late, memory_of_reversals
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
@@ -32,7 +32,8 @@ Array = NDArray[np.float64]
 PLACE = TableCoordinate("place", 1.0, 0.004, 0.011, 6)
 SPEED = TableCoordinate("speed", 0.05, -0.1, 0.12, 5)
 TRAVEL = TableCoordinate("travel", 0.002, -1.0, 1.0, 4)
-TERMS = [(PLACE,), (SPEED,), (TRAVEL,), (PLACE, SPEED), (SPEED, TRAVEL), (PLACE, TRAVEL)]
+LATE = TableCoordinate("speed", 0.02, -0.1, 0.12, 5, lag=0.03)
+TERMS = [(PLACE,), (SPEED,), (TRAVEL,), (PLACE, SPEED), (SPEED, TRAVEL), (PLACE, TRAVEL), (LATE, TRAVEL)]
 
 
 def coefficients_of(*coordinates: TableCoordinate) -> Array:
@@ -150,12 +151,14 @@ def along_motion(coordinate: TableCoordinate, signals: Signals, step: float) -> 
     if coordinate.over == "place":
         return signals.position
     if coordinate.over == "speed":
-        return signals.velocity
+        return follow_late(signals.velocity, step, coordinate.lag) if coordinate.lag else signals.velocity
     return memory_of_reversals(signals.velocity * step, coordinate.scale)
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])
-@pytest.mark.parametrize("coordinates", TERMS, ids=lambda term: " and ".join(c.over for c in term))
+@pytest.mark.parametrize(
+    "coordinates", TERMS, ids=lambda term: " and ".join("late speed" if c.lag else c.over for c in term)
+)
 def test_the_emitted_model_has_the_table(coordinates: tuple[TableCoordinate, ...], precision: str) -> None:
     """Its force on top of the same axis without it, as scipy says it; none beyond the data."""
     entry, signals = table_entry(coordinates, coefficients_of(*coordinates)), motion()

@@ -2,20 +2,53 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
-Kind = Literal["place", "speed", "travel"]
+Kind = Literal["place", "speed", "late speed", "travel"]
 
-TRAVEL_SHARES: Final = (0.3, 0.1, 0.03, 0.01)
-"""Lengths over which friction may remember a reversal [travel of the record]."""
-MOVING: Final = 0.01
-"""Speed from which an axis moves, for its typical one [largest speed]."""
+SHARES: Final = (0.3, 0.1, 0.03, 0.01)
+"""Lengths over which friction may remember a reversal, and times by which it may follow speed late [travel of the
+record, at its typical speed]."""
+MOVING: Final = 0.03
+"""Speed from which an axis moves, for its typical one, and about which a late speed is finest [largest speed]."""
 DEGREE: Final = 3
+
+
+class Warp(NamedTuple):
+    """What a coordinate makes of a motion.
+
+    Attributes:
+        kind: place [m]; speed [m/s] with its sign, as v / (|v| + scale); late speed, the same of w that follows v with
+            dw/dt = (v - w) / lag; travel since a reversal as the state r of dr/ds = (sign v - r) / scale, s being the
+            distance, from -1 to 1.
+        scale: speed or length of the warp; 1 where there is none.
+        lag: of a late speed [s]; 0 of any other.
+    """
+
+    kind: Kind
+    scale: float
+    lag: float = 0.0
+
+    def along(self, position: Array, velocity: Array, step: float) -> Array:
+        """Return the warped coordinate (m) along a motion (m) with rows of `step` [s]."""
+        if self.kind == "place":
+            return position
+        if self.kind == "travel":
+            return memory_of_reversals(velocity * step, self.scale)
+        speed = follow_late(velocity, step, self.lag) if self.lag else velocity
+        return speed / (np.abs(speed) + self.scale)
+
+    def unwarp(self, warped: Array) -> Array:
+        """Values of the coordinate in its unit; of travel the state itself."""
+        is_speed = self.kind in ("speed", "late speed")
+        return warped * self.scale / (1.0 - np.abs(warped)) if is_speed else warped
 
 
 @dataclass(frozen=True)
@@ -23,18 +56,20 @@ class Coordinate:
     """A coordinate of a learned residual, warped so that its grid is even.
 
     Attributes:
-        kind: place [m]; speed [m/s] with its sign, as v / (|v| + scale); travel since a reversal as the state r of
-            dr/ds = (sign v - r) / scale, s being the distance, from -1 to 1.
-        scale: speed or length of the warp; 1 where there is none.
+        warp: of the motion.
         low, high: of the warped data.
         cells: of the grid between them.
     """
 
-    kind: Kind
-    scale: float
+    warp: Warp
     low: float
     high: float
     cells: int
+
+    @property
+    def kind(self) -> Kind:
+        """Kind of its warp."""
+        return self.warp.kind
 
     @property
     def size(self) -> int:
@@ -50,10 +85,6 @@ class Coordinate:
         place = self.grid_place(warped)
         # Spline k covers the cells k - 3 to k.
         return cubic(place[:, None] - (np.arange(self.size) - DEGREE))
-
-    def unwarp(self, warped: Array) -> Array:
-        """Values of the coordinate in its unit; of travel the state itself."""
-        return warped * self.scale / (1.0 - np.abs(warped)) if self.kind == "speed" else warped
 
 
 def cubic(u: Array) -> Array:
@@ -77,17 +108,14 @@ def memory_of_reversals(moved: Array, length: float) -> Array:
     return state
 
 
-def warp(kind: Kind, scale: float, position: Array, velocity: Array, step: float) -> Array:
-    """Return a warped coordinate (m) along a motion (m) with rows of `step` [s]; `scale`: as of a coordinate."""
-    if kind == "place":
-        return position
-    if kind == "speed":
-        return velocity / (np.abs(velocity) + scale)
-    return memory_of_reversals(velocity * step, scale)
+def follow_late(velocity: Array, step: float, lag: float) -> Array:
+    """Return the speed w (m) of dw/dt = (v - w) / lag, 0 before the first row; v (m) is held over a `step` [s]."""
+    kept = math.exp(-step / lag)
+    return np.asarray(lfilter([1.0 - kept], [1.0, -kept], velocity))
 
 
-def warp_motion(position: Array, velocity: Array, step: float) -> dict[tuple[Kind, float], Array]:
-    """Return the warped coordinates of a motion (m) with rows of `step` [s], by kind and scale, where they change.
+def warp_motion(position: Array, velocity: Array, step: float) -> dict[Warp, Array]:
+    """Return the warped coordinates of a motion (m) with rows of `step` [s], where they change.
 
     No time: a force that wanders is a curve over it, which predicts the blocks between those that it was learned from
     and nothing after the record. No acceleration: an encoder's noise is one, and is read into the friction as well.
@@ -96,7 +124,13 @@ def warp_motion(position: Array, velocity: Array, step: float) -> dict[tuple[Kin
     moving = speed[speed > MOVING * float(speed.max(initial=0.0))]
     if not len(moving) or travel == 0.0:
         return {}
-    keys: list[tuple[Kind, float]] = [("place", 1.0), ("speed", float(np.median(moving)))]
-    keys += [("travel", share * travel) for share in TRAVEL_SHARES]
-    found = {key: warp(*key, position, velocity, step) for key in keys}
-    return {key: x for key, x in found.items() if np.ptp(x) > 0.0}
+    slowest, typical = MOVING * float(speed.max()), float(np.median(moving))
+    lags = [share * travel / typical for share in SHARES]
+    warps = [
+        Warp("place", 1.0),
+        Warp("speed", typical),
+        *(Warp("late speed", slowest, lag) for lag in lags if lag >= step),
+        *(Warp("travel", share * travel) for share in SHARES),
+    ]
+    found = {warp: warp.along(position, velocity, step) for warp in warps}
+    return {warp: x for warp, x in found.items() if np.ptp(x) > 0.0}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.coordinates import Coordinate, Kind, warp
+from sgms_mhe.diagnosis.coordinates import Coordinate, Kind
 from sgms_mhe.diagnosis.extension import extension_toml
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects.definition import Value
@@ -36,14 +36,15 @@ class LearnedTerm:
 
     def along(self, position: Array, velocity: Array, step: float) -> Array:
         """Force (m) [N] along a motion (m) with rows of `step` [s]."""
-        return self.at(*(warp(c.kind, c.scale, position, velocity, step) for c in self.coordinates))
+        return self.at(*(c.warp.along(position, velocity, step) for c in self.coordinates))
 
     def entry(self, share: float) -> dict[str, Value | str]:
         """Return its entry of [[effects]], names of a linear axis; `share`: logged force per force on the axis [1]."""
         coordinates = []
         for c in self.coordinates:
-            low, high = c.unwarp(np.array([c.low, c.high])).tolist()
-            coordinates.append(TableCoordinate(c.kind, c.scale, low, high, c.cells))
+            low, high = c.warp.unwarp(np.array([c.low, c.high])).tolist()
+            over = "speed" if c.kind == "late speed" else c.kind
+            coordinates.append(TableCoordinate(over, c.warp.scale, low, high, c.cells, c.warp.lag))
         return table_entry(coordinates, self.coefficients / share)
 
 

@@ -28,15 +28,19 @@ Array = NDArray[np.float64]
 
 def learn_beside(record: Recording, full: RecordResidual, blind: RecordResidual, floor: float) -> Learned | None:
     """Learn what a residual has of a cause's size; `blind`: of the fit without the held-out blocks; `floor` [N]."""
-    material = max(material_force(record.machine, floor), small_force(record.machine))
+    material = _least_gain(record.machine, floor)
     return learn_residual(record, full.residual, blind.residual, floor=floor, material=material)
+
+
+def _least_gain(machine: Machine, floor: float) -> float:
+    """Return the RMS gain from which a learned force matters, that of a cause [N]; `floor`: noise [N]."""
+    return max(material_force(machine, floor), small_force(machine))
 
 
 def add_learned_machine(found: Diagnosis, log: Log) -> Diagnosis:
     """Return a diagnosis with the machine that has what was learned as tables, beside the causes.
 
-    It is there where, run along the record as its file has it, it gains at least what the learned force does at the
-    lower end of its interval.
+    It is there where, run along the record as its file has it, it leaves less by what matters.
     """
     learned = found.learned
     if learned is None:
@@ -47,16 +51,15 @@ def add_learned_machine(found: Diagnosis, log: Log) -> Diagnosis:
     extended, changes = add_tables(found.machine, base, found.changes, entries)
     record = prepare(base, in_step(log, found.offset_s) if found.offset_s else log)
     before, after = (_simulate(axis, record) for axis in (base, extended))
-    gain = 1.0 - after / before if before > 0.0 else 0.0
+    least = _least_gain(base, found.noise_floor_N)
     log_decision(
         "learner",
-        "the machine with the tables is kept where, run along the record, it gains what it should at least",
+        "the machine with the tables is kept where, run along the record, it leaves less by what matters",
         before_N=before,
         after_N=after,
-        gain=gain,
-        least_gain=learned.gain_interval[0],
+        least_gain_N=least,
     )
-    if not gain > learned.gain_interval[0]:
+    if not before**2 - after**2 > least**2:
         return found
     return replace(found, learned=replace(learned, extended=extended, changes=changes))
 

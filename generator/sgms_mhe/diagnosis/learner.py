@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import solve
 
-from sgms_mhe.diagnosis.coordinates import Coordinate, Kind, warp_motion
+from sgms_mhe.diagnosis.coordinates import Coordinate, Kind, Warp, warp_motion
 from sgms_mhe.diagnosis.learned import Learned, LearnedTerm
 from sgms_mhe.recordings.evidence import CONFIDENCE, difference_statistic
 from sgms_mhe.recordings.recording import Recording, split_blocks
@@ -43,7 +43,7 @@ GRIDS: Final[tuple[tuple[tuple[Kind, int], ...], ...]] = (
     (("travel", 8),),
     (("place", 9), ("speed", 5)),
     (("place", 64), ("speed", 1)),
-    (("speed", 5), ("travel", 4)),
+    (("late speed", 5), ("travel", 4)),
     (("place", 9), ("travel", 4)),
 )
 """Coordinates of the candidates, and cells of the grid over each. A ripple of a gear may be finer over place than
@@ -200,8 +200,9 @@ def _prepare(recording: Recording, full: Array, blind: Array) -> _Data | None:
         return None
     segment = np.arange(int(whole.sum())) * count // int(whole.sum())
     step = every / recording.rate
-    warped = {key: x[whole] for key, x in warp_motion(position, velocity, step).items()}
-    X, candidates = _make_candidates(warped, segment, (np.cumsum(np.abs(velocity)) * step)[whole])
+    warped = {warp: x[whole] for warp, x in warp_motion(position, velocity, step).items()}
+    moved, passed = np.cumsum(np.abs(velocity)) * step, np.arange(len(velocity)) * step
+    X, candidates = _make_candidates(warped, segment, moved[whole], passed[whole])
     if not candidates:
         return None
     fold, _ = split_blocks(count, recording.machine)
@@ -227,21 +228,22 @@ def _count_segments(residual: Array) -> int:
 
 
 def _make_candidates(
-    warped: Mapping[tuple[Kind, float], Array], segment: Index, moved: Array
+    warped: Mapping[Warp, Array], segment: Index, moved: Array, passed: Array
 ) -> tuple[Array, tuple[_Basis, ...]]:
     """Return the columns of all candidates (m, p), and these.
 
-    A memory of reversals begins where the axis has `moved` (m) [m] its length: how it came to its first place is not
-    known.
+    A memory begins where the axis has `moved` (m) [m] its length, and its lag has `passed` (m) [s]: how it came to its
+    first place is not known.
     """
     columns: list[Array] = []
     candidates: list[_Basis] = []
     first = 0
-    for cells, keys in _list_grids(warped):
-        coordinates = tuple(_make_coordinate(key, warped[key], count) for key, count in zip(keys, cells, strict=True))
-        own = [c.splines(warped[key]) for c, key in zip(coordinates, keys, strict=True)]
-        B = own[0] if len(keys) == 1 else (own[0][:, :, None] * own[1][:, None, :]).reshape(len(segment), -1)
-        B[moved < max((scale for kind, scale in keys if kind == "travel"), default=0.0)] = 0.0
+    for cells, warps in _list_grids(warped):
+        coordinates = tuple(_make_coordinate(w, warped[w], count) for w, count in zip(warps, cells, strict=True))
+        own = [c.splines(warped[c.warp]) for c in coordinates]
+        B = own[0] if len(warps) == 1 else (own[0][:, :, None] * own[1][:, None, :]).reshape(len(segment), -1)
+        B[moved < max((w.scale for w in warps if w.kind == "travel"), default=0.0)] = 0.0
+        B[passed < max(w.lag for w in warps)] = 0.0
         kept = _find_supported(B, segment)
         if not kept.any():
             continue
@@ -253,19 +255,19 @@ def _make_candidates(
     return (np.hstack(columns) if columns else np.empty((len(segment), 0))), tuple(candidates)
 
 
-def _list_grids(keys: Iterable[tuple[Kind, float]]) -> list[tuple[tuple[int, ...], tuple[tuple[Kind, float], ...]]]:
-    """Return the cells and the coordinates of every candidate, each coordinate by kind and scale."""
-    known = list(keys)
+def _list_grids(warps: Iterable[Warp]) -> list[tuple[tuple[int, ...], tuple[Warp, ...]]]:
+    """Return the cells and the warps of every candidate's coordinates."""
+    known = list(warps)
     return [
         (tuple(cells for _, cells in grid), chosen)
         for grid in GRIDS
-        for chosen in itertools.product(*([key for key in known if key[0] == kind] for kind, _ in grid))
+        for chosen in itertools.product(*([warp for warp in known if warp.kind == kind] for kind, _ in grid))
     ]
 
 
-def _make_coordinate(key: tuple[Kind, float], x: Array, cells: int) -> Coordinate:
-    low, high = (-1.0, 1.0) if key[0] == "travel" else (float(x.min()), float(x.max()))
-    return Coordinate(*key, low, high, cells)
+def _make_coordinate(warp: Warp, x: Array, cells: int) -> Coordinate:
+    low, high = (-1.0, 1.0) if warp.kind == "travel" else (float(x.min()), float(x.max()))
+    return Coordinate(warp, low, high, cells)
 
 
 def _find_supported(B: Array, segment: Index) -> Mask:

@@ -68,7 +68,7 @@ def _plot(term: LearnedTerm) -> dict[str, Any]:
             (role, f"{TITLES.get(second.kind, second.kind)} {_value(second, level)}", (np.full(POINTS, level),))
             for role, level in zip(ROLES, levels, strict=True)
         ]
-    x = numbers(first.unwarp(grid))
+    x = numbers(first.warp.unwarp(grid))
     return {
         "series": [
             {"name": name, "x": x, "y": numbers(term.at(grid, *others)), "role": role, "width": 2.0}
@@ -84,15 +84,16 @@ def _plot(term: LearnedTerm) -> dict[str, Any]:
 
 def _unit(coordinate: Coordinate) -> str:
     units = axis_units()
-    return {"place": units.position, "speed": units.velocity, "travel": ""}[coordinate.kind]
+    return {"place": units.position, "travel": ""}.get(coordinate.kind, units.velocity)
 
 
 def _unit_label(coordinate: Coordinate) -> str:
     if coordinate.kind == "travel":
-        return f"(over {reading(coordinate.scale, axis_units().position)})"
-    return f"[{_unit(coordinate)}]"
+        return f"(over {reading(coordinate.warp.scale, axis_units().position)})"
+    late = f"(by {reading(coordinate.warp.lag, 's')}) " if coordinate.warp.lag else ""
+    return f"{late}[{_unit(coordinate)}]"
 
 
 def _value(coordinate: Coordinate, warped: float) -> str:
-    value = float(coordinate.unwarp(np.asarray(warped)))
+    value = float(coordinate.warp.unwarp(np.asarray(warped)))
     return str(reading(value, _unit(coordinate))) if _unit(coordinate) else f"{value:.2g}"

@@ -1,4 +1,7 @@
-"""A force that a diagnosis learned and has no name for: a table over place, speed and travel since a reversal."""
+"""A force that a diagnosis learned and has no name for: a table over place, speed and travel since a reversal.
+
+The speed may be one that follows late: friction that remembers a time and not a way.
+"""
 
 from __future__ import annotations
 
@@ -36,6 +39,7 @@ class TableCoordinate:
         scale: speed or length of the warp; without meaning over place.
         low, high: ends of the grid, place or speed; without meaning over travel, whose grid goes from -1 to 1.
         cells: between them.
+        lag: of a speed that follows late, dw/dt = (v - w) / lag [s]; 0: v itself.
     """
 
     over: Over
@@ -43,6 +47,7 @@ class TableCoordinate:
     low: float
     high: float
     cells: int
+    lag: float = 0.0
 
 
 def _cells(over: Over) -> EffectParameter:
@@ -72,12 +77,13 @@ _FORCE: Final = EffectParameter(
 
 
 def _grid(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> list[GridPlace]:
-    """Where the axis is on the grid of each coordinate; declares the state of travel since a reversal."""
+    """Where the axis is on the grid of each coordinate; declares the states of these."""
     places = []
     if cells := round(nominal["place_cells"]):
         places.append(GridPlace.of(axis.position, p["place_low_m"], p["place_high_m"], cells))
     if cells := round(nominal["speed_cells"]):
-        speeds = (axis.velocity, p["speed_low_m_s"], p["speed_high_m_s"])
+        own = _delay_speed(axis, p, nominal) if nominal["speed_lag_s"] else axis.velocity
+        speeds = (own, p["speed_low_m_s"], p["speed_high_m_s"])
         value, low, high = (v / (ca.fabs(v) + p["speed_scale_m_s"]) for v in speeds)
         places.append(GridPlace.of(value, low, high, cells))
     if cells := round(nominal["travel_cells"]):
@@ -87,6 +93,15 @@ def _grid(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, floa
         state.rate = (v - ca.fabs(v) * state.chi) / p["travel_length_m"]
         places.append(GridPlace.of(state.chi, ca.SX(-1.0), ca.SX(1.0), cells))
     return places
+
+
+def _delay_speed(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> ca.SX:
+    """Return the speed that follows the axis's late; its state counts in `scale`."""
+    state = add_effect_state(
+        axis, EffectState("speed", rate_per_second=1.0 / nominal["speed_lag_s"], initial_state=1.0)
+    )
+    state.rate = (axis.velocity / p["speed_scale_m_s"] - state.chi) / p["speed_lag_s"]
+    return state.chi * p["speed_scale_m_s"]
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -137,6 +152,7 @@ def table_entry(coordinates: Sequence[TableCoordinate], coefficients: Array) -> 
             entry |= {"place_low_m": c.low, "place_high_m": c.high}
         elif c.over == "speed":
             entry |= {"speed_scale_m_s": c.scale, "speed_low_m_s": c.low, "speed_high_m_s": c.high}
+            entry |= {"speed_lag_s": c.lag} if c.lag else {}
         else:
             entry["travel_length_m"] = c.scale
     return {**entry, _FORCE.name: tuple(float(f"{force:.6g}") for force in coefficients.ravel().tolist())}
@@ -153,6 +169,7 @@ DEFINITION = EffectDefinition(
         _shape("speed_scale_m_s", 0.1, 0.1, "speed that lies half-way between rest and the fastest", lower=1e-9),
         _shape("speed_low_m_s", -1.0, 0.1, "lower end of its grid"),
         _shape("speed_high_m_s", 1.0, 0.1, "upper end"),
+        _shape("speed_lag_s", 0.0, 0.1, "time by which a speed that follows late does; 0: it does not", lower=0.0),
         _cells("travel"),
         _shape("travel_length_m", 1e-3, 1e-3, "travel behind which 37 % of a reversal are left", lower=LEAST_LENGTH),
         _FORCE,
@@ -167,5 +184,5 @@ DEFINITION = EffectDefinition(
     ),
     confused_with={},
     moves=("travel", "speeds", "places"),
-    states=("memory",),
+    states=("speed", "memory"),
 )
