@@ -18,9 +18,11 @@ from sgms_mhe.diagnosis import Diagnosis, diagnose, verdict, write_diagnosis
 from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, plain_friction
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import _thinned
+from sgms_mhe.diagnosis.models import make_model
 from sgms_mhe.diagnosis.result import RefutedNumber, Rms
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
-from sgms_mhe.identification.elements import Stribeck, least_distance
+from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.identification.elements import SLOW_STEP, Stribeck, least_distance
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -170,6 +172,12 @@ def test_elements_that_break_away_within_a_sample_cost_no_more_than_it_resolves(
         distances = np.array(found.fraction) * found.coulomb / np.array(found.stiffness)
         least = least_distance(law, Stribeck(found.stribeck_ratio, found.stribeck_velocity), rate)
         assert np.all(distances >= 0.999 * least)
+        # Steps below the gate leave no room for stiffness that is wrong by far, and are short enough for this one.
+        assert begun.machine.sampling.integrator.slow_displacement == (0.02 if law == "switching" else SLOW_STEP)
+        code = make_model(begun.machine, ()).code
+        fine = CompiledModel(override_machine(code.machine, {"sampling": {"integrator": {"slow_displacement": 2e-3}}}))
+        ours, theirs = (model.predict(recording.signals).friction_N for model in (code, fine))
+        assert np.max(np.abs(ours - theirs)) < 1e-4 * found.coulomb
 
 
 def test_other_law_of_elements_that_switch_costs_no_more_than_a_sample_tells() -> None:

@@ -18,7 +18,7 @@ from sgms_mhe.diagnosis.parametrisation import drop_bounds
 from sgms_mhe.diagnosis.result import Cause, PlainFriction, RefutedNumber
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.identification.description import identified_effects
-from sgms_mhe.identification.elements import NO_RISE, least_distance
+from sgms_mhe.identification.elements import NO_RISE, SLOW_STEP, least_distance
 from sgms_mhe.identification.final_fit import contradicts_mass
 from sgms_mhe.identification.fits import NumberEstimate
 from sgms_mhe.identification.identify import Explored, explore_recording
@@ -203,6 +203,9 @@ def _compare(file: Machine, explored: Explored, mass: NumberEstimate | None) -> 
 def _start(file: Machine, explored: Explored, mass: NumberEstimate | None) -> RecordStart:
     """Return the numbers of an exploration to begin from; `mass`: of the motion, None: the file's stays."""
     changes: dict[str, Any] = {"friction": _resolved_friction(explored, file)}
+    if file.sampling.integrator.scheme == "flow":
+        # Steps of fits leave room for stiffness that is wrong by far; what identification found needs none.
+        changes["sampling"] = {"integrator": {"slow_displacement": SLOW_STEP}}
     if file.effects:
         units, known = file.plant.units, identified_effects(explored.final.fit)
         changes["effects"] = [
