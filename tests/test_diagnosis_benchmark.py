@@ -481,6 +481,13 @@ def test_part_of_the_benchmark(
         assert found.held_out_after_N < 1.3 * found.noise_floor_N
 
 
+def test_two_causes_that_differ_by_less_than_matters_are_not_told_apart(machine: Machine) -> None:
+    """A force 0.75 samples early, for which a lag leaves less, by t = 2.5 and more."""
+    draw, found = run_draw(machine, 307, 4)
+    assert [h.name for h in draw.hidden] == ["force_delay"]
+    assert outcome(draw, found) in ("named", "ambiguous"), found
+
+
 def test_what_other_numbers_explain_is_not_adequate(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine with a level that is wrong, where no cause is found: as it is it leaves 24 noise floors."""
     monkeypatch.setattr(verdict, "select_causes", without_causes)

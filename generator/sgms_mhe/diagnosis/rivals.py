@@ -39,8 +39,8 @@ from sgms_mhe.support.parallel import run_parallel, workers
 
 Judgement = Literal["better", "rival", "worse", "untried"]
 EQUAL_SHARE: Final = 0.15
-"""RMS that a rival may leave more where t does not tell the two apart [gain of the cause]: it explains 98 % of the
-power as well."""
+"""RMS that a rival may leave more where t does not tell the two apart, or it does not matter [gain of the cause]: it
+explains 98 % of the power as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,7 +296,8 @@ def _compare(
     if place.cause in cause(name).simpler.causes and hardly:
         return "worse", max(0.0, excess)  # more numbers and no better: it only imitates
     # The start and the stop pull at the numbers of what is told by them alone.
-    if as_good or (excess < EQUAL_SHARE * place.gain and (has_same_clock or t < EQUAL_T)):
+    same = has_same_clock or t < EQUAL_T or excess < material
+    if as_good or (excess < EQUAL_SHARE * place.gain and same):
         return "rival", excess
     return "worse", excess
 
