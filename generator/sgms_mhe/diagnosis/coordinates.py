@@ -22,7 +22,7 @@ DEGREE: Final = 3
 
 
 class Warp(NamedTuple):
-    """What a coordinate makes of a motion.
+    """Transformation of a motion to values of a coordinate.
 
     Attributes:
         kind: place [m]; speed [m/s] with its sign, as v / (|v| + scale); late speed, the same of w that follows v with

@@ -82,7 +82,7 @@ def _grid(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, floa
     if cells := round(nominal["place_cells"]):
         places.append(GridPlace.of(axis.position, p["place_low_m"], p["place_high_m"], cells))
     if cells := round(nominal["speed_cells"]):
-        own = _delay_speed(axis, p, nominal) if nominal["speed_lag_s"] else axis.velocity
+        own = _add_late_speed(axis, p, nominal) if nominal["speed_lag_s"] else axis.velocity
         speeds = (own, p["speed_low_m_s"], p["speed_high_m_s"])
         value, low, high = (v / (ca.fabs(v) + p["speed_scale_m_s"]) for v in speeds)
         places.append(GridPlace.of(value, low, high, cells))
@@ -95,8 +95,8 @@ def _grid(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, floa
     return places
 
 
-def _delay_speed(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> ca.SX:
-    """Return the speed that follows the axis's late; its state counts in `scale`."""
+def _add_late_speed(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> ca.SX:
+    """Declare the state of the speed that follows the axis's late, in units of `scale`, and return that speed."""
     state = add_effect_state(
         axis, EffectState("speed", rate_per_second=1.0 / nominal["speed_lag_s"], initial_state=1.0)
     )
