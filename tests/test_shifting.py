@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -43,3 +45,10 @@ def test_a_gap_stays_one() -> None:
     series[100] = np.nan
     assert np.isnan(Shift.of(-4e-4, RATE).of_series(series)[98:102]).all()
     assert np.isnan(Shift.of(-4e-4, RATE).of_series(series)).sum() == 4
+
+
+def test_a_series_that_has_run_away_has_no_number_later() -> None:
+    """Of a model that diverges: infinite values of either sign, and no warning of their difference."""
+    series = np.where(np.arange(100) < 50, 1.0, np.where(np.arange(100) % 2 == 0, math.inf, -math.inf))
+    later = Shift.of(3.4e-4, RATE).of_series(series)
+    assert np.isnan(later[60:]).all() and np.isfinite(later[:45]).all()

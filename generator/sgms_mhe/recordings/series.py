@@ -83,4 +83,6 @@ class Shift:
         before, after = max(0, -self.first), max(0, self.first + len(by) - 1)
         padded = np.pad(series, [(before, after), *[(0, 0)] * (series.ndim - 1)], mode="edge")
         start, n = self.first + before, len(series)
-        return np.asarray(sum(weight * padded[start + k : start + k + n] for k, weight in enumerate(by)))
+        # A model that has run away stays without a number, which its fit refuses.
+        with np.errstate(invalid="ignore"):
+            return np.asarray(sum(weight * padded[start + k : start + k + n] for k, weight in enumerate(by)))
