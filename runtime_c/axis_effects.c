@@ -130,6 +130,32 @@ static double add_curve(const struct axis_view *at, double force)
     return force + sign(at->v) * c;
 }
 
+/* Force of a film of grease that follows speed at once: sigma_v v, and c, which a curve's first knot adds for all. */
+static double film_force(const struct axis_view *at)
+{
+    double force = at->axis->set.viscous * at->v;
+    for (size_t i = 0; i < at->axis->effects; ++i) {
+        const struct axis_effect *effect = &at->axis->effect[i];
+        if (effect->row->change[AXIS_OTHER_FORCE] == add_curve) {
+            const struct axis_view knot = {at->axis, effect, effect->parameter, effect->state, at->v, 0.0, 0.0};
+            force = add_curve(&knot, force);
+        }
+    }
+    return force;
+}
+
+static double add_late_film(const struct axis_view *at, double force)
+{
+    return force + at->x[0] - film_force(at);
+}
+
+static void move_film(const struct axis *axis, struct axis_effect *effect)
+{
+    const struct axis_view at = {axis, effect, effect->parameter, effect->state, axis->velocity, 0.0, 0.0};
+    const double prompt = film_force(&at);
+    effect->state[0] = prompt + (effect->state[0] - prompt) * exp(-axis->step / effect->parameter[0]);
+}
+
 static void move_hysteresis(const struct axis *axis, struct axis_effect *effect)
 {
     const double *p = effect->parameter, v = axis->velocity, end = p[1] * sign(v);
@@ -405,6 +431,8 @@ static const struct axis_effect_row table[] = {
      .engage = engage_behind_gap},
     /* s follows s(v) with a first-order lag */
     {"frictional_lag", {"time_constant_s"}, .place = place_lagging_level, .follow = follow_level},
+    /* force = u - (sigma_v v + c(v)), u follows sigma_v v + c(v) with a first-order lag */
+    {"viscous_lag", {"time_constant_s"}, .change = {[AXIS_OTHER_FORCE] = add_late_film}, .move = move_film},
     /* s(v) (1 + ratio d), dd/dt = (1 - d) / time_constant - |v| d / length: ages at rest, renewed by motion */
     {"dwell_dependence",
      {"ratio", "time_constant_s", "length_m"},

@@ -56,6 +56,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "step_disturbance": {"force_N": 0.5, "time_s": 1.2043},
     "backlash": {"gap_m": 2e-5},
     "frictional_lag": {"time_constant_s": 0.02},
+    "viscous_lag": {"time_constant_s": 0.02},
     "dwell_dependence": {"ratio": 0.3, "time_constant_s": 0.3, "length_m": 1e-4},
     "micro_viscous": {"damping_N_s_m": 30.0},
     "learned_residual": {
@@ -280,6 +281,7 @@ def _effects() -> dict[str, Variant]:
         "position map, from its table": Variant({"effects": _entries("position_map")}),
         "learned residual, from its table": Variant({"effects": _entries("learned_residual")}),
         "friction curve, of fixed numbers": Variant({"effects": _entries("friction_curve")}),
+        "friction curve that follows late": Variant({"effects": _entries("friction_curve", "viscous_lag")}),
         "dwell dependence, n_z 10": Variant({"effects": _entries("dwell_dependence"), "friction": elements(10)}),
         "frictional lag, n_z 1": Variant({"effects": _entries("frictional_lag"), "friction": elements(1)}),
     }

@@ -96,6 +96,7 @@ CASES = {
     # Contact ends over 5 % of f_C and over 1/35 of the gap; the plant's at once.
     "backlash": Case({"gap_m": 2e-5}, 3e-2, 0.2),
     "frictional_lag": Case({"time_constant_s": 0.02}),
+    "viscous_lag": Case({"time_constant_s": 0.02}),
     "dwell_dependence": Case({"ratio": 0.3, "time_constant_s": 0.3, "length_m": 1e-4}),
     "micro_viscous": Case({"damping_N_s_m": 30.0}, 3e-3, 2e-2),
     "unbalance": Case({"amplitude_N": 1.5, "phase_rad": 0.7}),
@@ -227,7 +228,7 @@ def test_model_and_plant_know_the_same_effects() -> None:
     of_model = {name: tuple(p.name for p in effect_definition(name).parameters) for name in EFFECT_NAMES}
     assert of_model == plant_effects()
     assert set(CASES) == set(EFFECT_NAMES)
-    assert len(EFFECT_NAMES) == 30
+    assert len(EFFECT_NAMES) == 31
 
 
 @pytest.mark.parametrize("name", CAUSE_NAMES)
@@ -491,6 +492,18 @@ def test_two_effects_of_one_name() -> None:
     )
     integrator = ReferenceIntegrator(build_model(machine))
     assert rms(deviation(integrator, simulated(machine, as_read=False))[START:]) < 2e-3
+
+
+def test_a_curve_that_follows_late_matches_the_plant() -> None:
+    """A film carries the friction curve beside it, too: without that the curve would follow speed at once."""
+    curve, late = ("friction_curve", CASES["friction_curve"].parameters), ("viscous_lag", {"time_constant_s": 0.05})
+    machine = extended(curve, late, free=("viscous_lag.time_constant_s",))
+    integrator, signals = ReferenceIntegrator(build_model(machine)), simulated(machine, as_read=False, noise_N=0.05)
+    quiet = simulated(machine, as_read=False)
+    prompt = ReferenceIntegrator(build_model(extended(curve, free=())))
+    error, without = (deviation(model, quiet)[START:] for model in (integrator, prompt))
+    assert rms(error) < CASES["friction_curve"].rms_N and rms(without) > 20.0 * rms(error)
+    assert_c_agrees(machine, integrator, signals)
 
 
 # --- structure --------------------------------------------------------------------------------------------------

@@ -21,8 +21,9 @@ from sgms_mhe.host.evaluation import Evaluation
 from sgms_mhe.host.packages import SYMBOLIC
 from sgms_mhe.machine import CLOSED_FORMS, Machine, ResolvedEffect
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter
-from sgms_mhe.model.building import load_is_read, plain_force
+from sgms_mhe.model.building import find_read, plain_force
 from sgms_mhe.model.effects import BASE_CAUSES, Stage, effect_definition
+from sgms_mhe.model.effects.definition import ReadAs
 from sgms_mhe.model.effects.parameters import RecordLimit, StepLimit
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
@@ -272,11 +273,11 @@ class Force:
 
     Attributes:
         parameters: its free ones, in their order.
-        loads: whether it acts on the load.
+        read_as: what other effects may read it as.
     """
 
     parameters: tuple[FreeParameter, ...]
-    loads: bool
+    read_as: ReadAs | None
     _evaluation: Evaluation
 
     def at(self, w: Array, theta: Array, *, derivatives: bool) -> tuple[Array, Array | None]:
@@ -306,13 +307,13 @@ def make_force(structure: ModelStructure) -> Force | None:
         names = [free.column for free in plain.parameters]
         outputs = ca.vertcat(plain.force, ca.jacobian(plain.force, plain.theta).T)
         evaluation = Evaluation(outputs, {"w": plain.w, "theta": plain.theta}, {"w": SIGNAL_NAMES, "theta": names})
-    return Force(plain.parameters, plain.loads, evaluation)
+    return Force(plain.parameters, plain.read_as, evaluation)
 
 
 @lru_cache(maxsize=FORCES_CACHED)
-def _load_is_read(structure: ModelStructure) -> bool:
+def _find_read(structure: ModelStructure) -> frozenset[ReadAs]:
     with SYMBOLIC:
-        return load_is_read(extended_machine(structure))
+        return find_read(extended_machine(structure))
 
 
 def find_plain_forces(machine: Machine, structures: Sequence[ModelStructure]) -> tuple[int, ...]:
@@ -326,8 +327,8 @@ def find_plain_forces(machine: Machine, structures: Sequence[ModelStructure]) ->
         return ()
     forces = [make_force(structure) for structure in structures]
     compiled = tuple(s.effects[0] for s, force in zip(structures, forces, strict=True) if force is None)
-    loaded = _load_is_read(ModelStructure(machine, tuple(sorted(compiled))))
-    return tuple(i for i, force in enumerate(forces) if force is not None and not (force.loads and loaded))
+    read = _find_read(ModelStructure(machine, tuple(sorted(compiled))))
+    return tuple(i for i, force in enumerate(forces) if force is not None and force.read_as not in read)
 
 
 def smooth_law(machine: Machine, effects: Sequence[CandidateEffect]) -> Machine:

@@ -22,6 +22,8 @@ SETTABLE: Final = (
     "level_force",
     "engagement",
     "load",
+    "curve",
+    "mean_curve",
     "stribeck_level",
     "rest_level",
     "element_force",
@@ -110,6 +112,8 @@ class SymbolicAxis:
         velocity_ratio: real over measured velocity.
         coulomb_factor, viscous_factor: multiply f_C and sigma_v.
         micro_viscous: damping [N s/m] shared out to the elements by nu_i, on top of their own sigma_i.
+        curve, mean_curve: friction over speed of any shape that effects add [N], at a sample's own time and at the mean
+            velocity before it; complete from the stage `level` on.
         stribeck_level: s(v) / f_C, which an effect may replace by the level that the elements really have.
         rest_level: the same at v = 0, 1 + beta.
         stribeck_share: exp(-(v/v_s)^2), the share of the Stribeck effect that is there at this speed.
@@ -146,6 +150,8 @@ class SymbolicAxis:
         self.level_force: ca.SX = ca.SX(0.0)
         self.engagement: ca.SX = ca.SX(1.0)
         self.load: ca.SX = ca.SX(0.0)
+        self.curve: ca.SX = ca.SX(0.0)
+        self.mean_curve: ca.SX = ca.SX(0.0)
         self.stribeck_level: ca.SX = ca.SX(1.0)
         self.rest_level: ca.SX = ca.SX(1.0)
         self.stribeck_share: ca.SX = ca.SX(0.0)

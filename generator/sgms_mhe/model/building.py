@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import MEAN_ACCELERATION, SIGNAL_NAMES, FreeParameter, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, Stage, effect_definition
+from sgms_mhe.model.effects.definition import READ_AS, ReadAs
 from sgms_mhe.model.friction import (
     LEAST_REST,
     WIDE_SWITCH,
@@ -278,14 +279,14 @@ def _contribute(effects: Sequence[_Effect], axis: SymbolicAxis, *stages: Stage) 
                 effect.contribute(axis)
 
 
-def _load(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
-    """The forces of the effects that act on the load [N], known before any level is set that hangs on them."""
+def _sum_ahead(effects: Sequence[_Effect], axis: SymbolicAxis, read_as: ReadAs) -> ca.SX:
+    """The forces of some effects [N], known before any level or force is set that hangs on them."""
     before, axis.output = axis.output, ca.SX(0.0)
     for effect in effects:
-        if effect.definition.loads:
+        if effect.definition.read_as == read_as:
             effect.contribute(axis)
-    load, axis.output = axis.output, before
-    return load
+    found, axis.output = axis.output, before
+    return found
 
 
 def _prompt_drive(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
@@ -351,7 +352,11 @@ def build_model(machine: Machine, *, physical: bool = False) -> Model:
         state_noise=noise.state,
         initial_state=noise.initial_state,
     )
-    axis.load = _load(effects, axis)
+    axis.load = _sum_ahead(effects, axis, "load")
+    axis.curve = _sum_ahead(effects, axis, "curve")
+    acceleration, axis.acceleration = axis.acceleration, ca.SX(0.0)
+    axis.mean_curve = _sum_ahead(effects, axis, "curve")
+    axis.acceleration = acceleration
     _contribute(effects, axis, "level")
     elements = add_friction(axis, symbols, _smoothing(machine), WIDE_SWITCH if physical else 0.0)
     _contribute(effects, axis, "force", "motor")
@@ -421,14 +426,14 @@ class PlainForce:
         theta: their scaled values (n).
         w: measured signals (5).
         force: [N], of (w, theta).
-        loads: whether it acts on the load, which other effects may read.
+        read_as: what other effects may read it as.
     """
 
     parameters: tuple[FreeParameter, ...]
     theta: ca.SX
     w: ca.SX
     force: ca.SX
-    loads: bool
+    read_as: ReadAs | None
 
 
 def plain_force(machine: Machine, label: str) -> PlainForce | None:
@@ -457,7 +462,7 @@ def plain_force(machine: Machine, label: str) -> PlainForce | None:
         theta=ca.vertcat(*(parameters.symbols[i] for i in own)),
         w=axis.measured,
         force=force,
-        loads=effect.definition.loads,
+        read_as=effect.definition.read_as,
     )
 
 
@@ -475,12 +480,12 @@ def logged_share(machine: Machine) -> float:
     return float(np.mean([float(function(draw)) for draw in draws]))
 
 
-def load_is_read(machine: Machine) -> bool:
-    """Return True if a contribution of effects to the axis depends on its load."""
+def find_read(machine: Machine) -> frozenset[ReadAs]:
+    """Return which sums of other effects' forces the effects of a machine read."""
     axis = _bare_axis(machine)
     open_ends = axis.forget()
     for effect in _effects(machine, _Parameters(machine)):
         effect.contribute(axis)
-    load = open_ends.pop("load")
+    sums = {name: open_ends.pop(name) for name in READ_AS}
     found = [getattr(axis, name) for name in open_ends] + [s.rate for s in axis.states if s.rate is not None]
-    return any(ca.depends_on(expression, load) for expression in found)
+    return frozenset(name for name in READ_AS if any(ca.depends_on(x, sums[name]) for x in found))

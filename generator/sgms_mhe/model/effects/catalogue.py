@@ -50,6 +50,7 @@ EFFECT_NAMES: Final[tuple[str, ...]] = (
     "step_disturbance",
     "backlash",
     "frictional_lag",
+    "viscous_lag",
     "dwell_dependence",
     "micro_viscous",
     "unbalance",

@@ -22,6 +22,9 @@ STAGES: Final[tuple[Stage, ...]] = ("signal", "level", "force", "motor", "log", 
 """The order in which effects contribute, whatever their order in the machine file: what the sensors see of the motion;
 factors on friction; forces; from force to motor current; from current to the log; the current loop behind the log."""
 
+ReadAs = Literal["load", "curve"]
+READ_AS: Final[tuple[ReadAs, ...]] = ("load", "curve")
+"""Sums of effects' forces that other effects may read: `SymbolicAxis.load` and `.curve`."""
 Contribution = Callable[[SymbolicAxis, Mapping[str, ca.SX], Mapping[str, float]], None]
 Value = float | tuple[float, ...]
 """Of a parameter in a machine file: a number, or a list of them."""
@@ -163,6 +166,11 @@ class EffectDefinition(CauseDefinition):
     def drives_elements(self) -> bool:
         """Return True if elements move with its states, not with the axis: their step has no closed form then."""
         return bool(self.smooth_only and self.states)
+
+    @property
+    def read_as(self) -> ReadAs | None:
+        """Return the sum of forces, if any, that other effects may read its own in."""
+        return "load" if self.loads else "curve" if self.any_curve else None
 
     @property
     def costly(self) -> bool:

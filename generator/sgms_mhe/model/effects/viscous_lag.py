@@ -1,0 +1,68 @@
+"""Viscous friction that follows a change of speed late: a film of grease takes its thickness after some time.
+
+Where an axis stops, its force goes on to that of rest for a fraction of a second, though nothing moves any more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.lag import no_shorter, shortest_lag
+from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.effects.search import Trials
+from sgms_mhe.model.effects.states import EffectState, add_effect_state
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+    """The force u of the film, in f_C, follows that of the speed: du/dt = ((sigma_v v + c(v)) / f_C - u) / lag.
+
+    Shorter than a quarter sample, the lag is blended out instead, so that zero has no effect.
+    """
+    lag = no_shorter(axis, p["time_constant_s"])
+    shortest = math.hypot(nominal["time_constant_s"], shortest_lag(axis))
+    state = add_effect_state(axis, EffectState("film", rate_per_second=1.0 / shortest, noise=1e-4, initial_state=0.03))
+    viscous = axis.damping * axis.velocity
+    state.rate = ((viscous + axis.mean_curve) / axis.coulomb - state.chi) / lag
+    axis.add_force(p["time_constant_s"] / lag * (axis.coulomb * state.chi - (viscous + axis.curve)))
+
+
+DEFINITION = EffectDefinition(
+    name="viscous_lag",
+    summary="viscous friction, and a friction curve, follow speed with a lag",
+    parameters=(
+        EffectParameter(
+            "time_constant_s",
+            0.0,
+            0.005,
+            "first-order lag",
+            lower=0.0,
+            upper=100.0,
+            proportional=False,
+            step=step_by_factor,
+        ),
+    ),
+    contribute=_contribute,
+    excitation=Excitation(
+        "stops from several speeds, and changes of speed that are faster than the lag",
+        (Need("speed_ratio", 3.0), Need("both_directions", 0.1), Need("moving_s", 0.5)),
+    ),
+    confused_with={
+        "mass_mismatch": "a stop, then rest: a mass acts while the speed changes, a film after it too",
+        "frictional_lag": "changes of speed far above the Stribeck velocity: the film alone follows them",
+        "force_delay": "high acceleration while sliding: a delayed force is late with the inertial force too",
+        "actuator_lag": "high acceleration while sliding: a late drive is late with the inertial force too",
+    },
+    moves=("speeds", "jerks", "rests"),
+    # A line over speed that is a little late is a mass that is too large.
+    simpler=Simpler(("mass_mismatch",)),
+    search=Trials(lambda _: [{"time_constant_s": x} for x in (16e-3, 64e-3, 256e-3)]),
+    stage="level",
+    states=("film",),
+)
