@@ -364,7 +364,7 @@ def test_records_that_it_does_not_hold_on_are_said(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_it_is_judged_on_another_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a whole diagnosis that names nothing: a map that transfers would have both records fitted together."""
-    monkeypatch.setattr(judgement, "confirm_constant_causes", lambda _, chosen: Confirmed(chosen, chosen.fit, ()))
+    monkeypatch.setattr(judgement, "keep_predictive", lambda _, chosen: Confirmed(chosen, chosen.fit, ()))
     axis = machine_file(tmp_path)
     here, there = moved_with_force(0.2, 1), moved_with_force(0.17, 2)
     found = diagnose(axis, here, others=[there])

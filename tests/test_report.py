@@ -258,7 +258,7 @@ def vague_cause(name: str, machine: Machine, rms: Rms) -> Cause:
         (0.3, 0.5),
         1e-9,
         vague=tuple(numbers),
-        stands_in=cause(name).over_speed,
+        stands_for="curve over speed" if cause(name).over_speed else "",
     )
 
 

@@ -59,7 +59,7 @@ def test_a_curve_of_another_form_is_named_and_not_its_imitations(tmp_path: Path)
     (curve,) = certain
     # Beside its numbers only one of the machine's may be listed, as what may stand for a rest of the curve.
     others = [c for c in diagnosis.causes if c is not curve]
-    assert all(c.name in BASE_CAUSES and c.stands_in for c in others)
+    assert all(c.name in BASE_CAUSES and c.stands_for for c in others)
     listed = diagnosis.summary.split(" (")[0].split(":")[0].split(", and more")[0].split(". ")[-1]
     assert listed == "friction_curve", diagnosis.summary
     for c in others:

@@ -61,7 +61,7 @@ class ScoredDiagnosis:
             noise_floor_N=diagnosis.noise_floor_N,
             noise_N=noise_N,
             seconds=seconds,
-            doubted=tuple(c.name for c in diagnosis.causes if c.stands_in),
+            doubted=tuple(c.name for c in diagnosis.causes if c.stands_for),
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, material_force, small_force
+from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, is_timed, material_force, small_force
 from sgms_mhe.diagnosis.final_fit import FinalFit, split_rms
 from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, report_name, report_values
 from sgms_mhe.diagnosis.models import FitError
@@ -168,33 +168,21 @@ class Confirmed:
     causes: tuple[Cause, ...]
 
 
-def confirm_causes(final: FinalFit, selection: Selection, *, constant: bool = False) -> Confirmed:
-    """The causes that hold on held-out data; what does not is taken out, the weakest first.
-
-    `constant`: they are known to be the same all over the record.
-    """
+def confirm_causes(final: FinalFit, selection: Selection) -> Confirmed:
+    """The causes that hold on held-out data; what does not is taken out, the weakest first."""
     while selection.causes:
         fit = selection.fit
         blind = final.fit(fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
         causes = measure_causes(final, selection, blind)
-        left, machine = final.excess(fit), final.subject.machine
-        complete = left < material_force(machine, final.floor)
-        small = small_force(machine)
-        doubts = {
-            g: doubt
-            for g, cause in causes.items()
-            if (doubt := _doubt(final, fit, g, causes, constant=constant, complete=complete))
-        }
+        doubts = {group: doubt for group in causes if (doubt := _doubt(final, fit, group, causes))}
         found = Confirmed(selection, blind, _strongest_first(causes))
         if not doubts:
             doubts = dict.fromkeys(_find_undetermined(final, found), "none once undetermined numbers are the file's")
         log_decision(
             "confirmation",
             "the weakest cause that a rule doubts is taken out",
-            same_everywhere=constant,
-            beyond_noise_N=left,
-            complete=complete,
-            least_gain_N=small,
+            beyond_noise_N=final.excess(fit),
+            least_gain_N=small_force(final.subject.machine),
             causes=[
                 {"name": cause.label, "gain_N": cause.gain_N, "gain_interval_N": cause.gain_interval_N,
                  "p_value": cause.p_value, "parameters": cause.parameters, "std": cause.std,
@@ -205,7 +193,7 @@ def confirm_causes(final: FinalFit, selection: Selection, *, constant: bool = Fa
         if not doubts:
             return found
         weakest = min(doubts, key=lambda group: causes[group].gain_N)
-        selection = _unname(final, selection, weakest) if constant else _without(final, selection, weakest)
+        selection = _without(final, selection, weakest)
     return Confirmed(selection, selection.fit, ())
 
 
@@ -214,14 +202,11 @@ def _doubt(
     fit: Fit,
     group: ParameterGroup,
     causes: Mapping[ParameterGroup, Cause],
-    *,
-    constant: bool,
-    complete: bool,
+    certain_p: float = 0.0,
 ) -> str | None:
-    """Return the rule by which a cause does not hold, None if it does; `complete`: its fit leaves next to nothing."""
-    cause, small = causes[group], small_force(final.subject.machine)
-    # Of one that is the same all over the record: a short one has few blocks to draw the interval from.
-    certain_p = final.subject.machine.diagnosis.significance if constant else 0.0
+    """Return the rule by which a cause does not hold, None if it does; `certain_p`: as of `is_confirmed`."""
+    cause, machine = causes[group], final.subject.machine
+    complete, small = final.excess(fit) < material_force(machine, final.floor), small_force(machine)
     if not is_confirmed(cause, complete=complete, certain_p=certain_p):
         return "its size, or its gain on held-out data, may be zero"
     if not is_possible(cause, final):
@@ -235,6 +220,13 @@ def _doubt(
     if not group.is_candidate and cause.gain_N < final.encoder_friction:
         return "its gain is no more than the encoder's steps leave where elements stick"
     return None
+
+
+def _doubt_unexplained(
+    final: FinalFit, fit: Fit, group: ParameterGroup, causes: Mapping[ParameterGroup, Cause]
+) -> str | None:
+    """The same where something is left: a short cause has few blocks to draw the interval from, but its own test."""
+    return _doubt(final, fit, group, causes, certain_p=final.subject.machine.diagnosis.significance)
 
 
 def _is_echo(cause: Cause, causes: Collection[Cause]) -> bool:
@@ -271,41 +263,73 @@ def _is_imitation(final: FinalFit, fit: Fit, group: ParameterGroup, cause: Cause
     return cause.gain_N < REPLACED_LAW_GAIN * final.floor
 
 
-def confirm_constant_causes(final: FinalFit, selection: Selection) -> Confirmed:
-    """The causes whose size is the same everywhere in the record, the least constant one taken out first."""
+def keep_predictive(final: FinalFit, selection: Selection) -> Confirmed:
+    """The causes without which more is left on held-out data; the weakest of the others is taken out first.
+
+    For where something is left that no cause accounts for: the machine that predicts best, whether its causes have
+    names (`find_nameless`) or not. What hangs on time has to be sure, and all else the same all over the record: what
+    is left may be a force that wanders, which such causes take the form of; and they predict no other record. A number
+    of the machine without a name stays refitted, but is not listed.
+    """
     for group in selection.causes:
         if _is_consequence(final, selection, group):
             selection = _unname(final, selection, group)
-    while selection.causes:
+    while timed := [g for g in selection.causes if g.is_candidate and is_timed(g.cause)]:
         change = {group: _inconstancy(final, selection, group) for group in selection.causes}
-        worst = max(change, key=lambda group: change[group])
-        log_decision(
-            "constancy",
-            "the cause whose size changes most over the record is taken out",
-            change={group.name: value for group, value in change.items()},
-            allowed=INCONSTANT,
-        )
-        if change[worst] < INCONSTANT:
+        if max(change.values()) < INCONSTANT:
             break
+        worst = max(timed, key=lambda group: change[group])
         less = _unname(final, selection, worst)
         selection = replace(less, inconstant=(*selection.inconstant, worst.cause))
-    return refit_numbers(final, confirm_causes(final, selection, constant=True), constant=True)
+    while selection.causes:
+        fit = selection.fit
+        blind = final.fit(fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
+        causes = measure_causes(final, selection, blind)
+        lost = [g for g, cause in causes.items() if not (cause.gain_N > 0.0 and is_possible(cause, final))]
+        lost += [g for g in causes if (not g.is_candidate or g in timed) and _doubt_unexplained(final, fit, g, causes)]
+        log_decision(
+            "prediction",
+            "the weakest is taken out of what gains nothing on held-out data, and of doubted numbers and timed causes",
+            gain_N={cause.label: cause.gain_N for cause in causes.values()},
+            lost=[causes[group].label for group in lost],
+        )
+        if not lost:
+            return refit_numbers(final, Confirmed(selection, blind, _strongest_first(causes)), explained=False)
+        selection = _unname(final, selection, min(lost, key=lambda group: causes[group].gain_N))
+    return Confirmed(selection, selection.fit, ())
 
 
-def refit_numbers(final: FinalFit, found: Confirmed, *, constant: bool) -> Confirmed:
+def find_nameless(final: FinalFit, found: Confirmed) -> frozenset[str]:
+    """Return the labels of the causes that are none: a rule doubts them, or their size changes over the record."""
+    selection = found.selection
+    by_label = {cause.label: cause for cause in found.causes}
+    causes = {group: by_label[name_cause(selection.fit, group)] for group in selection.causes}
+    change = {causes[group].label: _inconstancy(final, selection, group) for group in causes}
+    doubts = {causes[group].label: _doubt_unexplained(final, selection.fit, group, causes) for group in causes}
+    log_decision(
+        "constancy",
+        "a cause that is doubted or whose size changes over the record has no name",
+        change=change,
+        allowed=INCONSTANT,
+        doubts=doubts,
+    )
+    return frozenset(label for label, value in change.items() if doubts[label] or not value < INCONSTANT)
+
+
+def refit_numbers(final: FinalFit, found: Confirmed, *, explained: bool) -> Confirmed:
     """The same causes with all numbers of the machine refitted, where that is better on held-out data.
 
     Where something is left that nothing accounts for, or the axis slips by another law than the file's, the machine's
     numbers may do best at other values, and held at the file's they pass their errors on to the effects. They are no
-    causes for that. `constant`: the causes have to stay the same all over the record.
+    causes for that. `explained`: nothing is left, so that each cause has to hold; else each has to gain.
     """
     if not found.causes:
         return found
     selection = found.selection
     fit, groups = selection.fit, machine_groups(final.subject.machine)
     # Where all is explained the numbers are near the file's; else a fit may have far to go.
-    starts = (selection.free, final.start, fit) if constant else (fit,)
-    iterations = PATIENT_ITERATIONS if constant else ITERATIONS
+    starts = (fit,) if explained else (selection.free, final.start, fit)
+    iterations = ITERATIONS if explained else PATIENT_ITERATIONS
     free: Fit | None = None
     for warm in starts:
         with suppress(FitError):  # beside a gap some of them are no model of the record
@@ -321,9 +345,9 @@ def refit_numbers(final: FinalFit, found: Confirmed, *, constant: bool) -> Confi
     lost = [
         group
         for group, cause in causes.items()
-        if not is_confirmed(cause) or (constant and _inconstancy(final, whole, group) > INCONSTANT)
+        if not (cause.gain_N > 0.0 if group.is_candidate and not explained else is_confirmed(cause))
     ]
-    if any(group.is_candidate for group in lost) or (lost and not constant):
+    if any(group.is_candidate or explained for group in lost):
         return found
     # A number of the machine that is no cause any more stays refitted with the others.
     whole = replace(whole, unnamed=(*unnamed, *lost))

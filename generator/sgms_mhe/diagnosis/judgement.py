@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -10,7 +10,8 @@ from sgms_mhe.diagnosis.alignment import align
 from sgms_mhe.diagnosis.causes import (
     Confirmed,
     confirm_causes,
-    confirm_constant_causes,
+    find_nameless,
+    keep_predictive,
     refit_numbers,
     restore_undetermined,
 )
@@ -18,7 +19,7 @@ from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.final_fit import ALLOWED_ENCODER, FinalFit
 from sgms_mhe.diagnosis.fits import Fit, fit_model
 from sgms_mhe.diagnosis.parametrisation import ParameterGroup, machine_groups
-from sgms_mhe.diagnosis.result import Verdict
+from sgms_mhe.diagnosis.result import Cause, StandsFor, Verdict
 from sgms_mhe.diagnosis.structure import leaves_curve
 from sgms_mhe.diagnosis.uncertainty import MOSTLY
 from sgms_mhe.machine import Machine
@@ -74,29 +75,36 @@ def judge(final: FinalFit) -> Judged:
     allowed = allowed_excess(final.record.machine, final.floor, judged, before, _encoder_rms(final))
     curve = after < allowed and any(_may_stand_in(group.cause) for group in judged) and _leaves_curve(final, best)
     verdict: Verdict
+    unnamed: Collection[str] = ()
     if not found.selection.causes:
         # As it is, and not with other numbers: what these explain and no cause does is not adequate.
         found = _without_causes(final, found, plain)
         plain = found.selection.fit
         before = final.excess(plain)
-        verdict = "adequate" if before < allowed else "unexplained"
-    elif after < allowed and not curve:
+    if not judged and before < allowed:
+        verdict = "adequate"
+    elif judged and after < allowed and not curve:
         verdict = "ambiguous" if found.selection.rivals else "explained"
         if final.alternative:
-            found = refit_numbers(final, found, constant=False)
+            found = refit_numbers(final, found, explained=True)
     else:
         verdict = "unexplained"
         # Something is left; but causes that are the same everywhere in the record are none the less real.
-        found = confirm_constant_causes(final, final.selection)
-        if not found.causes:
-            found = _without_causes(final, found, plain)
+        predictive = keep_predictive(final, final.selection)
+        if predictive.causes:
+            found = predictive
+            unnamed = find_nameless(final, found) if judged else {cause.label for cause in found.causes}
+        elif judged:
+            found = _without_causes(final, predictive, plain)
             plain = found.selection.fit
     if found.causes:
         found = restore_undetermined(final, found)
+        over_speed = None
         if verdict == "unexplained" and _leaves_curve(final, found.selection.fit):
-            found = _mark_stand_ins(found, _may_stand_in)
+            over_speed = _may_stand_in
         elif any(_is_any_curve(c.name) for c in found.causes):
-            found = _mark_stand_ins(found, _is_part_of_curve)
+            over_speed = _is_part_of_curve
+        found = _mark_stand_ins(found, over_speed, unnamed)
     log_decision(
         "verdict",
         "residual beyond noise is within what a complete explanation may leave, and no curve over speed is left",
@@ -127,8 +135,15 @@ def _without_causes(final: FinalFit, found: Confirmed, plain: Fit) -> Confirmed:
     return Confirmed(selection, blind, ())
 
 
-def _mark_stand_ins(found: Confirmed, stands_in: Callable[[str], bool]) -> Confirmed:
-    return replace(found, causes=tuple(replace(c, stands_in=stands_in(c.name)) for c in found.causes))
+def _mark_stand_ins(found: Confirmed, over_speed: Callable[[str], bool] | None, unnamed: Collection[str]) -> Confirmed:
+    """Return the causes, marked what may be a part of a curve over speed or is among the labels that are `unnamed`."""
+
+    def find_part(cause: Cause) -> StandsFor:
+        if over_speed is not None and over_speed(cause.name):
+            return "curve over speed"
+        return "what has no name" if cause.label in unnamed else ""
+
+    return replace(found, causes=tuple(replace(cause, stands_for=find_part(cause)) for cause in found.causes))
 
 
 def _may_stand_in(name: str) -> bool:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,11 @@ from sgms_mhe.support.notebooks import html_table, labelled_axes
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Verdict = Literal["explained", "unexplained", "ambiguous", "adequate"]
+StandsFor = Literal["", "curve over speed", "what has no name"]
+STANDS_FOR_WORDS: Final[Mapping[StandsFor, str]] = {
+    "curve over speed": "may be a part of a curve over speed of another form",
+    "what has no name": "not certain or not the same all over the record, so no cause; unseen data is predicted better",
+}
 Outcome = Literal["named", "redundant", "too small", "not significant"]
 """Of a candidate in a round: added; good, but another was better; found, but less than matters; not found."""
 
@@ -52,7 +57,8 @@ class Cause:
         gain_interval_N: 95 % interval of `gain_N` over held-out blocks.
         p_value: of the score test against the model without it, multiplicity included.
         vague: parameters that the record does not determine.
-        stands_in: whether it may be a part of a curve over speed of another form, which is left or named beside it.
+        stands_for: what it is a part of, where it is no cause of its own: a curve over speed of another form, which is
+            left or named beside it; or a force without a name, which it predicts though it is not certain or changes.
         transfers: whether it holds on the other records; None: there are none, or none of them shows it.
     """
 
@@ -66,7 +72,7 @@ class Cause:
     gain_interval_N: tuple[float, float]
     p_value: float
     vague: tuple[str, ...] = ()
-    stands_in: bool = False
+    stands_for: StandsFor = ""
     transfers: bool | None = None
 
 
@@ -318,7 +324,7 @@ class Diagnosis:
 
     def identifies(self, cause: Cause) -> bool:
         """Return True if the record determines a cause's numbers, no rival fits as well, and other records agree."""
-        if cause.vague or cause.stands_in or cause.transfers is False or self.find_combination(cause):
+        if cause.vague or cause.stands_for or cause.transfers is False or self.find_combination(cause):
             return False
         return all(a.instead_of != cause.name for a in self.alternatives if a.rival)
 
@@ -351,7 +357,7 @@ class Diagnosis:
             if not math.isfinite(b.std)
         ]
         collinear = (known.describe() for known in self.combinations)
-        others = (*self.undecided, *self._curves, *vague, *collinear, *self.contradictions)
+        others = (*self.undecided, *self._parts, *vague, *collinear, *self.contradictions)
         return (*map(Limit, self._left), *pairs, *map(Limit, others), *unknown)
 
     @property
@@ -371,12 +377,13 @@ class Diagnosis:
         )
 
     @property
-    def _curves(self) -> tuple[str, ...]:
-        """Return the causes that may stand for a curve over speed only."""
-        names = ", ".join(dict.fromkeys(cause.name for cause in self.causes if cause.stands_in))
-        if not names:
-            return ()
-        return (f"{names}: may be a part of a curve over speed of another form",)
+    def _parts(self) -> tuple[str, ...]:
+        """Return the causes that stand for something else."""
+        return tuple(
+            f"{names}: {words}"
+            for part, words in STANDS_FOR_WORDS.items()
+            if (names := ", ".join(dict.fromkeys(cause.name for cause in self.causes if cause.stands_for == part)))
+        )
 
     @property
     def contradictions(self) -> tuple[str, ...]:

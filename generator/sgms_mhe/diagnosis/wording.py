@@ -67,7 +67,9 @@ def choose_experiment(
     verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative], noise: float = 0.0
 ) -> str | None:
     """Return the next motion: the moves that separate causes and rivals; None: nothing. `noise`: as of `summarise`."""
-    left = FINER if noise > 0.0 else PLATEAUS if any(cause.stands_in for cause in causes) else TWICE
+    left = (
+        FINER if noise > 0.0 else PLATEAUS if any(cause.stands_for == "curve over speed" for cause in causes) else TWICE
+    )
     moves = [left] if verdict == "unexplained" else []
     for rival in rivals:
         if rival.instead_of is None:
@@ -108,20 +110,26 @@ def summarise(
             return f"{own[:-1]}; {rest}."
         return f"{own} {summarise(verdict, causes, rivals, before, after, units, noise)}"
     names = [cause.name for cause in causes]
-    doubted = ", ".join(cause.name for cause in causes if cause.stands_in)
-    certain = ", ".join(cause.name for cause in causes if not cause.stands_in)
-    also = f" ({doubted} for a curve over speed)" if doubted else ""
+    curved, unnamed, certain = (
+        ", ".join(cause.name for cause in causes if cause.stands_for == part)
+        for part in ("curve over speed", "what has no name", "")
+    )
+    also = f" ({curved} for a curve over speed)" if curved else ""
+    also += f" ({unnamed} in place of something without a name)" if unnamed else ""
     gain = f"the residual on data not used in the fit goes from {before:.3g} {unit} to {after:.3g} {unit} RMS"
     if verdict == "adequate":
         return f"The simulation explains the record; {before:.3g} {unit} RMS are left, nothing is named."
     if verdict == "unexplained" and noise > 0.0:
-        found = f"{', '.join(names)}: {gain}; " if causes else f"{before:.3g} {unit} RMS are left, "
+        named = f"{certain or 'Nothing is named'}{also}"
+        found = f"{named}: {gain}; " if causes else f"{before:.3g} {unit} RMS are left, "
         return f"{found}about {noise:.2g} {unit} of that are noise of the encoder."
     if verdict == "unexplained" and not causes:
         return f"{before:.3g} {unit} RMS are left that no known effect accounts for; nothing is named."
     if verdict == "unexplained":
+        if not certain and not unnamed:
+            return f"{curved} in place of a curve over speed that no known effect has: {gain}."
         if not certain:
-            return f"{doubted} in place of a curve over speed that no known effect has: {gain}."
+            return f"No known effect accounts for what is left{also}, nothing is named: {gain}."
         return f"{certain}, and more that no known effect accounts for{also}: {gain}."
     if verdict == "ambiguous":
         others = [name for name in dict.fromkeys(rival.name for rival in rivals) if name not in names]

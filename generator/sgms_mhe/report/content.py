@@ -10,6 +10,7 @@ from typing import Any, Final
 from sgms_mhe import __version__
 from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, ResidualStructure, Traces
 from sgms_mhe.diagnosis.criteria import material_force
+from sgms_mhe.diagnosis.result import STANDS_FOR_WORDS
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report.estimator import EstimatorGain
@@ -205,17 +206,17 @@ def _headline(d: Diagnosis) -> str:
         known = "The simulation explains this record down to the noise of the measurement."
         return f"{rest}." if d.verdict == "unexplained" else known
     rivals = rivals_by_cause(d)
-    settled = [cause_text(c) for c in d.causes if c.label not in rivals and not c.stands_in]
+    settled = [cause_text(c) for c in d.causes if c.label not in rivals and not c.stands_for]
     choices = [
         f"{capital(join_words([title(c.name), *(title(r.name) for r in rivals[c.label])], 'or'))}?"
         for c in d.causes
         if c.label in rivals
     ]
     found = f"Found: {join_words(shorten(settled))}." if settled else ""
-    if any(c.stands_in for c in d.causes):
+    if any(c.stands_for == "curve over speed" for c in d.causes):
         found = f"{found} Friction over speed has a form that no known effect has."
     elif d.verdict == "unexplained":
-        found = f"{found} {rest}, too."
+        found = f"{found} {rest}, too." if found else f"{rest}."
     return " ".join((found, *choices)).strip()
 
 
@@ -313,7 +314,7 @@ def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
         "title": capital(cause_title(c)),
         "label": c.label,
         "wrong_number": wrong,
-        "stands_in": c.stands_in,
+        "stands_for": capital(STANDS_FOR_WORDS[c.stands_for]) if c.stands_for else "",
         "transfers": "" if c.transfers is None else "transfers" if c.transfers else "not of every record",
         "parameters": [
             {

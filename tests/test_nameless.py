@@ -1,0 +1,57 @@
+"""What helps to predict but is no cause: it stays in the machine, without a name, and is said to be none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sgms_bench.diagnosis.unmodelled import UNMODELLED
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.report import write_report
+
+NAMELESS = "not certain or not the same all over the record, so no cause; unseen data is predicted better"
+
+
+@cache
+def diagnose_with(name: str) -> Diagnosis:
+    """Diagnose an axis with an offset of 1 N and a force of the same size that is none of the catalogue's."""
+    axis = override_machine(load_machine("etel_xy"), {"sampling": {"rate": 1000.0, "velocity_cutoff": 100.0}})
+    path = make_trajectory("mixed", axis.sampling.rate, duration_s=12.0, max_velocity=0.4)
+    config = AxisConfig(seed=2, force_noise_N=0.05)
+    log = simulate_axis(axis, path, config, hidden_effects=[("constant_offset", {"force_N": 1.0})]).log
+    velocity = np.gradient(log.position_m, 1.0 / log.rate)
+    force = UNMODELLED[name](np.random.default_rng(5), log.time_s, log.position_m, velocity)
+    return diagnose(axis, replace(log, force_N=log.force_N + force / np.sqrt(np.mean(force**2))))
+
+
+def test_an_offset_that_changes_stays_without_a_name(tmp_path: Path) -> None:
+    """Beside a force that jumps between two values an offset is not the same in all parts of the record."""
+    found = diagnose_with("telegraph")
+    (offset,) = found.causes
+    assert found.verdict == "unexplained" and offset.name == "constant_offset"
+    assert not found.identifies(offset) and f"constant_offset: {NAMELESS}" in found.limits
+    assert "nothing is named" in found.summary
+    # None the less it predicts: the machine has it, and leaves less on data that no fit has seen.
+    assert offset.gain_N > 0.5 and found.rms.held_out_after < 0.8 * found.rms.held_out_before
+    assert found.extended is not None and [effect.name for effect in found.extended.effects] == ["constant_offset"]
+    page = write_report(found, tmp_path).read_text()
+    assert f"{NAMELESS[0].upper()}{NAMELESS[1:]}." in page and "Found:" not in page
+
+
+@pytest.mark.slow
+def test_a_sure_cause_keeps_its_name_beside_one_without() -> None:
+    """A curve over speed cannot follow a narrow bump all over the record; the offset beside it is the same there."""
+    found = diagnose_with("bump_in_speed")
+    sure, other = (next(c for c in found.causes if c.name == name) for name in ("constant_offset", "friction_curve"))
+    assert found.verdict == "unexplained" and len(found.causes) == 2
+    assert found.identifies(sure) and abs(sure.parameters["force_N"] - 1.0) < 2.0 * sure.std["force_N"] < 0.3
+    assert not found.identifies(other) and f"friction_curve: {NAMELESS}" in found.limits
+    assert found.summary.startswith("constant_offset, and more")
