@@ -65,8 +65,6 @@ EXCITED: Final = 0.05
 SMEARED: Final = MOST_WITHOUT_CAUSES
 """RMS that the chain's low-passes change friction by, from which on a model's force passes them [noise floor]: what is
 less is no reason to call a machine inadequate, and the motion before the chain has noise of its own."""
-MOST_STARTS: Final = 3
-"""Times that numbers are identified anew without the causes, at most [1]."""
 
 
 def diagnose_logs(
@@ -151,23 +149,20 @@ def _diagnose_again(
         )
         return found if lost else again
     has_force = not all(log.is_friction_alone for log in logs)
-    for _ in range(MOST_STARTS):
-        if not found.causes or found.rms.held_out_after < FLOOR_SURE * found.noise_floor_N:
-            break
-        anew = identify_start(without, file.machine, begun.mass, told.report_identification, has_force=has_force)
-        if anew is None:
-            break
-        again, without = _diagnose_aligned(file, anew, logs, held_out_s, told)
-        log_decision(
-            "beginning",
-            "numbers identified without the causes, where they leave less",
-            residual_N=found.rms.held_out_after,
-            residual_again_N=again.rms.held_out_after,
-        )
-        if not again.is_rough or again.rms.held_out_after >= SHARPER * found.rms.held_out_after:
-            break
-        found, begun = again, anew
-    return found
+    if not found.causes or found.rms.held_out_after < FLOOR_SURE * found.noise_floor_N:
+        return found
+    anew = identify_start(without, file.machine, begun.mass, told.report_identification, has_force=has_force)
+    if anew is None:
+        return found
+    again, _ = _diagnose_aligned(file, anew, logs, held_out_s, told)
+    log_decision(
+        "beginning",
+        "numbers identified without the causes, where they leave less",
+        residual_N=found.rms.held_out_after,
+        residual_again_N=again.rms.held_out_after,
+    )
+    sharper = again.is_rough and again.rms.held_out_after < SHARPER * found.rms.held_out_after
+    return again if sharper else found
 
 
 def _diagnose_aligned(
