@@ -17,7 +17,7 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import write_report
 
-NAMELESS = "not certain or not the same all over the record, so no cause; unseen data is predicted better"
+NAMELESS = "uncertain, or not the same all over the record: no cause, but it predicts unseen data"
 
 
 @cache

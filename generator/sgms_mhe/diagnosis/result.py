@@ -26,7 +26,7 @@ Verdict = Literal["explained", "unexplained", "ambiguous", "adequate"]
 StandsFor = Literal["", "curve over speed", "what has no name"]
 STANDS_FOR_WORDS: Final[Mapping[StandsFor, str]] = {
     "curve over speed": "may be a part of a curve over speed of another form",
-    "what has no name": "not certain or not the same all over the record, so no cause; unseen data is predicted better",
+    "what has no name": "uncertain, or not the same all over the record: no cause, but it predicts unseen data",
 }
 Outcome = Literal["named", "redundant", "too small", "not significant"]
 """Of a candidate in a round: added; good, but another was better; found, but less than matters; not found."""

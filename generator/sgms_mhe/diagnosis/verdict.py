@@ -148,9 +148,9 @@ def _diagnose_again(
             leaves_more=leaves_more,
         )
         return found if lost else again
-    has_force = not all(log.is_friction_alone for log in logs)
     if not found.causes or found.rms.held_out_after < FLOOR_SURE * found.noise_floor_N:
         return found
+    has_force = not all(log.is_friction_alone for log in logs)
     anew = identify_start(without, file.machine, begun.mass, told.report_identification, has_force=has_force)
     if anew is None:
         return found
