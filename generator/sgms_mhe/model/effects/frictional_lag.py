@@ -10,8 +10,7 @@ import casadi as ca
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.lag import no_shorter, shortest_lag
-from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.effects.lag import FILM_LAG, no_shorter, shortest_lag
 from sgms_mhe.model.effects.search import Trials
 from sgms_mhe.model.effects.specimen import Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
@@ -33,18 +32,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
 DEFINITION = EffectDefinition(
     name="frictional_lag",
     summary="friction level follows speed with a lag",
-    parameters=(
-        EffectParameter(
-            "time_constant_s",
-            0.0,
-            0.005,
-            "first-order lag",
-            lower=0.0,
-            upper=100.0,
-            proportional=False,
-            step=step_by_factor,
-        ),
-    ),
+    parameters=(FILM_LAG,),
     contribute=_contribute,
     excitation=Excitation(
         "speed that swings about the Stribeck velocity while sliding on, at several frequencies",

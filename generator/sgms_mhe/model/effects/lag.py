@@ -24,6 +24,11 @@ JERK: Final = Excitation(
 )
 """What shows that force and position are apart."""
 
+FILM_LAG: Final = EffectParameter(
+    "time_constant_s", 0.0, 0.005, "first-order lag", lower=0.0, upper=100.0, proportional=False, step=step_by_factor
+)
+"""How late friction follows speed [s]: a film of lubricant builds up in time."""
+
 
 def longest_lag(_: Extents) -> float:
     """The longest delay or lag of a force that an axis is held with [s]."""

@@ -14,8 +14,7 @@ from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.lag import no_shorter, shortest_lag
-from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.effects.lag import FILM_LAG, no_shorter, shortest_lag
 from sgms_mhe.model.effects.search import Trials
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
@@ -36,18 +35,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
 DEFINITION = EffectDefinition(
     name="viscous_lag",
     summary="viscous friction, and a friction curve, follow speed with a lag",
-    parameters=(
-        EffectParameter(
-            "time_constant_s",
-            0.0,
-            0.005,
-            "first-order lag",
-            lower=0.0,
-            upper=100.0,
-            proportional=False,
-            step=step_by_factor,
-        ),
-    ),
+    parameters=(FILM_LAG,),
     contribute=_contribute,
     excitation=Excitation(
         "stops from several speeds, and changes of speed that are faster than the lag",
