@@ -49,7 +49,7 @@ PROMISING: Final = 0.7
 one where its force is linear in its sizes]: a refit finds more."""
 CLOSE: Final = 0.5
 """The same where a force is not linear in its sizes [of the best one], or known to be confused with a cause's: a refit
-changes the order."""
+changes the order. RMS that a rival may leave more, however surely [gain that matters]."""
 EQUAL_EXCESS: Final = 0.25
 """RMS by which two candidates for a place are equals [gain that matters]: it does not matter."""
 MOST_ALIKE: Final = 2

@@ -296,7 +296,7 @@ def _compare(
     if place.cause in cause(name).simpler.causes and hardly:
         return "worse", max(0.0, excess)  # more numbers and no better: it only imitates
     # The start and the stop pull at the numbers of what is told by them alone.
-    same = has_same_clock or t < EQUAL_T or excess < material
+    same = has_same_clock or t < EQUAL_T or excess < CLOSE * material
     if as_good or (excess < EQUAL_SHARE * place.gain and same):
         return "rival", excess
     return "worse", excess
