@@ -354,6 +354,7 @@ def build_model(machine: Machine, *, physical: bool = False) -> Model:
     )
     axis.load = _sum_ahead(effects, axis, "load")
     axis.curve = _sum_ahead(effects, axis, "curve")
+    # By the acceleration a curve shifts the mean velocity to the sample's own time.
     acceleration, axis.acceleration = axis.acceleration, ca.SX(0.0)
     axis.mean_curve = _sum_ahead(effects, axis, "curve")
     axis.acceleration = acceleration
