@@ -73,6 +73,7 @@ def test_causes_that_both_halves_show(learnt: Learnt) -> None:
     assert curve["parameters"]["corner_velocity_m_s"] == pytest.approx(0.035, rel=0.15)
     # The published numbers are right for a model without these effects: they are refitted, not accused.
     assert not learnt.named("coulomb", "viscous", "stiffness", "constant_offset")
-    # Each of them removes something from data that the fit behind the gain has not seen.
+    # Each of them removes something from data that the fit behind the gain has not seen: surely, if it has a name.
     for cause in learnt.causes:
-        assert cause["gain_interval_N"][0] > 0.0, cause["name"]
+        assert cause["gain_N"] > 0.0, cause["name"]
+        assert cause["gain_interval_N"][0] > 0.0 or cause["stands_for"] == "what has no name", cause["name"]

@@ -38,7 +38,7 @@ def test_an_offset_that_changes_stays_without_a_name(tmp_path: Path) -> None:
     (offset,) = found.causes
     assert found.verdict == "unexplained" and offset.name == "constant_offset"
     assert not found.identifies(offset) and f"constant_offset: {NAMELESS}" in found.limits
-    assert "nothing is named" in found.summary
+    assert "nothing is named" in found.summary and found.to_json()["causes"][0]["stands_for"] == "what has no name"
     # None the less it predicts: the machine has it, and leaves less on data that no fit has seen.
     assert offset.gain_N > 0.5 and found.rms.held_out_after < 0.8 * found.rms.held_out_before
     assert found.extended is not None and [effect.name for effect in found.extended.effects] == ["constant_offset"]
@@ -55,3 +55,4 @@ def test_a_sure_cause_keeps_its_name_beside_one_without() -> None:
     assert found.identifies(sure) and abs(sure.parameters["force_N"] - 1.0) < 2.0 * sure.std["force_N"] < 0.3
     assert not found.identifies(other) and f"friction_curve: {NAMELESS}" in found.limits
     assert found.summary.startswith("constant_offset, and more")
+    assert {c["name"]: c["stands_for"] for c in found.to_json()["causes"]}[sure.name] is None

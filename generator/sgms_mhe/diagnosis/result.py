@@ -462,6 +462,7 @@ class Diagnosis:
                     "gain_N": cause.gain_N,
                     "gain_interval_N": list(cause.gain_interval_N),
                     "identified": self.identifies(cause),
+                    "stands_for": cause.stands_for or None,
                     "transfers": cause.transfers,
                     "known_combination": None if (known := self.find_combination(cause)) is None else known.to_json(),
                 }
