@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import casadi as ca
@@ -10,10 +9,9 @@ import casadi as ca
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.lag import FILM_LAG, no_shorter, shortest_lag
+from sgms_mhe.model.effects.lag import FILM_LAG, add_film
 from sgms_mhe.model.effects.search import Trials
 from sgms_mhe.model.effects.specimen import Specimen
-from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -21,9 +19,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
 
     Shorter than a quarter sample, the lag is blended out instead, so that zero has no effect.
     """
-    lag = no_shorter(axis, p["time_constant_s"])
-    shortest = math.hypot(nominal["time_constant_s"], shortest_lag(axis))
-    state = add_effect_state(axis, EffectState("level", rate_per_second=1.0 / shortest, noise=1e-4, initial_state=0.03))
+    state, lag = add_film(axis, "level", p, nominal)
     target = axis.stribeck_level - axis.rest_level
     state.rate = (target - state.chi) / lag
     axis.stribeck_level = axis.stribeck_level + p["time_constant_s"] / lag * (state.chi - target)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Final
 
 import casadi as ca
 
-from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.axis import AxisState, SymbolicAxis
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import Extents
 from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
@@ -87,3 +89,13 @@ def shortest_lag(axis: SymbolicAxis) -> float:
 def no_shorter(axis: SymbolicAxis, time_constant: ca.SX) -> ca.SX:
     """A time constant as it is, but never shorter than the integrator can follow: a smooth maximum."""
     return ca.sqrt(time_constant * time_constant + shortest_lag(axis) ** 2)
+
+
+def add_film(
+    axis: SymbolicAxis, name: str, p: Mapping[str, ca.SX], nominal: Mapping[str, float]
+) -> tuple[AxisState, ca.SX]:
+    """Declare the state of a film with the parameter `FILM_LAG`; returns it and its lag [s] that steps can follow."""
+    lag = no_shorter(axis, p[FILM_LAG.name])
+    shortest = math.hypot(nominal[FILM_LAG.name], shortest_lag(axis))
+    state = EffectState(name, rate_per_second=1.0 / shortest, noise=1e-4, initial_state=0.03)
+    return add_effect_state(axis, state), lag

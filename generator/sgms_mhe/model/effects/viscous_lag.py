@@ -5,7 +5,6 @@ Where an axis stops, its force goes on to that of rest for a fraction of a secon
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import casadi as ca
@@ -14,9 +13,8 @@ from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.lag import FILM_LAG, no_shorter, shortest_lag
+from sgms_mhe.model.effects.lag import FILM_LAG, add_film
 from sgms_mhe.model.effects.search import Trials
-from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -24,9 +22,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
 
     Shorter than a quarter sample, the lag is blended out instead, so that zero has no effect.
     """
-    lag = no_shorter(axis, p["time_constant_s"])
-    shortest = math.hypot(nominal["time_constant_s"], shortest_lag(axis))
-    state = add_effect_state(axis, EffectState("film", rate_per_second=1.0 / shortest, noise=1e-4, initial_state=0.03))
+    state, lag = add_film(axis, "film", p, nominal)
     viscous = axis.damping * axis.velocity
     state.rate = ((viscous + axis.mean_curve) / axis.coulomb - state.chi) / lag
     axis.add_force(p["time_constant_s"] / lag * (axis.coulomb * state.chi - (viscous + axis.curve)))
