@@ -1,4 +1,4 @@
-"""What helps to predict but is no cause: it stays in the machine, without a name, and is said to be none."""
+"""Effects that help to predict but are no causes: they stay in the machine without a name, and are said to be none."""
 
 from __future__ import annotations
 

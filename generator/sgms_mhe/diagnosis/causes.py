@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, is_timed, material_force, small_force
+from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, hangs_on_time, material_force, small_force
 from sgms_mhe.diagnosis.final_fit import FinalFit, split_rms
 from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, report_name, report_values
 from sgms_mhe.diagnosis.models import FitError
@@ -174,7 +174,7 @@ def confirm_causes(final: FinalFit, selection: Selection) -> Confirmed:
         fit = selection.fit
         blind = final.fit(fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
         causes = measure_causes(final, selection, blind)
-        doubts = {group: doubt for group in causes if (doubt := _doubt(final, fit, group, causes))}
+        doubts = _find_doubts(final, fit, causes, explained=True)
         found = Confirmed(selection, blind, _strongest_first(causes))
         if not doubts:
             doubts = dict.fromkeys(_find_undetermined(final, found), "none once undetermined numbers are the file's")
@@ -197,36 +197,31 @@ def confirm_causes(final: FinalFit, selection: Selection) -> Confirmed:
     return Confirmed(selection, selection.fit, ())
 
 
-def _doubt(
-    final: FinalFit,
-    fit: Fit,
-    group: ParameterGroup,
-    causes: Mapping[ParameterGroup, Cause],
-    certain_p: float = 0.0,
-) -> str | None:
-    """Return the rule by which a cause does not hold, None if it does; `certain_p`: as of `is_confirmed`."""
-    cause, machine = causes[group], final.subject.machine
-    complete, small = final.excess(fit) < material_force(machine, final.floor), small_force(machine)
-    if not is_confirmed(cause, complete=complete, certain_p=certain_p):
-        return "its size, or its gain on held-out data, may be zero"
-    if not is_possible(cause, final):
-        return "a number that is physically impossible"
-    if _is_imitation(final, fit, group, cause):
-        return "may be the difference of the laws of friction"
-    if _is_echo(cause, causes.values()):
-        return "a small sine with the period of a large one"
-    if cause.gain_N < (min(small, final.excess(fit)) if group.is_candidate else small):
-        return "its gain is less than matters"
-    if not group.is_candidate and cause.gain_N < final.encoder_friction:
-        return "its gain is no more than the encoder's steps leave where elements stick"
-    return None
+def _find_doubts(
+    final: FinalFit, fit: Fit, causes: Mapping[ParameterGroup, Cause], *, explained: bool
+) -> dict[ParameterGroup, str]:
+    """Return the rule by which a cause does not hold, of each that does not; `explained`: as of `refit_numbers`."""
+    machine, left = final.subject.machine, final.excess(fit)
+    complete, small = left < material_force(machine, final.floor), small_force(machine)
+    # Where something is left a short cause has few blocks to draw the interval from, but a test of its own.
+    certain_p = 0.0 if explained else machine.diagnosis.significance
 
+    def doubt(group: ParameterGroup, cause: Cause) -> str:
+        if not is_confirmed(cause, complete=complete, certain_p=certain_p):
+            return "its size, or its gain on held-out data, may be zero"
+        if not is_possible(cause, final):
+            return "a number that is physically impossible"
+        if _is_imitation(final, fit, group, cause):
+            return "may be the difference of the laws of friction"
+        if _is_echo(cause, causes.values()):
+            return "a small sine with the period of a large one"
+        if cause.gain_N < (min(small, left) if group.is_candidate else small):
+            return "its gain is less than matters"
+        if not group.is_candidate and cause.gain_N < final.encoder_friction:
+            return "its gain is no more than the encoder's steps leave where elements stick"
+        return ""
 
-def _doubt_unexplained(
-    final: FinalFit, fit: Fit, group: ParameterGroup, causes: Mapping[ParameterGroup, Cause]
-) -> str | None:
-    """The same where something is left: a short cause has few blocks to draw the interval from, but its own test."""
-    return _doubt(final, fit, group, causes, certain_p=final.subject.machine.diagnosis.significance)
+    return {group: rule for group, cause in causes.items() if (rule := doubt(group, cause))}
 
 
 def _is_echo(cause: Cause, causes: Collection[Cause]) -> bool:
@@ -274,7 +269,7 @@ def keep_predictive(final: FinalFit, selection: Selection) -> Confirmed:
     for group in selection.causes:
         if _is_consequence(final, selection, group):
             selection = _unname(final, selection, group)
-    while timed := [g for g in selection.causes if g.is_candidate and is_timed(g.cause)]:
+    while timed := [group for group in selection.causes if _hangs_on_time(group)]:
         change = {group: _inconstancy(final, selection, group) for group in selection.causes}
         if max(change.values()) < INCONSTANT:
             break
@@ -285,8 +280,13 @@ def keep_predictive(final: FinalFit, selection: Selection) -> Confirmed:
         fit = selection.fit
         blind = final.fit(fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
         causes = measure_causes(final, selection, blind)
-        lost = [g for g, cause in causes.items() if not (cause.gain_N > 0.0 and is_possible(cause, final))]
-        lost += [g for g in causes if (not g.is_candidate or g in timed) and _doubt_unexplained(final, fit, g, causes)]
+        doubts = _find_doubts(final, fit, causes, explained=False)
+        lost = [
+            group
+            for group, cause in causes.items()
+            if not (cause.gain_N > 0.0 and is_possible(cause, final))
+            or (group in doubts and (not group.is_candidate or _hangs_on_time(group)))
+        ]
         log_decision(
             "prediction",
             "the weakest is taken out of what gains nothing on held-out data, and of doubted numbers and timed causes",
@@ -302,18 +302,24 @@ def keep_predictive(final: FinalFit, selection: Selection) -> Confirmed:
 def find_nameless(final: FinalFit, found: Confirmed) -> frozenset[str]:
     """Return the labels of the causes that are none: a rule doubts them, or their size changes over the record."""
     selection = found.selection
-    by_label = {cause.label: cause for cause in found.causes}
-    causes = {group: by_label[name_cause(selection.fit, group)] for group in selection.causes}
-    change = {causes[group].label: _inconstancy(final, selection, group) for group in causes}
-    doubts = {causes[group].label: _doubt_unexplained(final, selection.fit, group, causes) for group in causes}
+    groups = {name_cause(selection.fit, group): group for group in selection.causes}
+    causes = {groups[cause.label]: cause for cause in found.causes}
+    change = {cause.label: _inconstancy(final, selection, group) for group, cause in causes.items()}
+    doubts = _find_doubts(final, selection.fit, causes, explained=False)
     log_decision(
         "constancy",
         "a cause that is doubted or whose size changes over the record has no name",
         change=change,
         allowed=INCONSTANT,
-        doubts=doubts,
+        doubts={causes[group].label: rule for group, rule in doubts.items()},
     )
-    return frozenset(label for label, value in change.items() if doubts[label] or not value < INCONSTANT)
+    doubted = frozenset(causes[group].label for group in doubts)
+    return doubted.union(label for label, value in change.items() if not value < INCONSTANT)
+
+
+def _hangs_on_time(group: ParameterGroup) -> bool:
+    """Return True if it is an effect under test whose force hangs on when a log begins."""
+    return group.is_candidate and hangs_on_time(group.cause)
 
 
 def refit_numbers(final: FinalFit, found: Confirmed, *, explained: bool) -> Confirmed:

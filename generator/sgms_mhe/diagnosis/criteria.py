@@ -182,12 +182,12 @@ def make_criteria(
         for name in effect_names(machine.plant.kind)
         if not effect_definition(name).learned
         and not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
-        and not (several and is_timed(name))
+        and not (several and hangs_on_time(name))
     )
     return Criteria(machine.diagnosis, floor, material_force(machine, floor), excited, one_speed, progress)
 
 
-def is_timed(name: str) -> bool:
+def hangs_on_time(name: str) -> bool:
     """Return True if the force of an effect hangs on when a log begins."""
     definition = effect_definition(name)
     return isinstance(definition.search, Step) or (definition.sine is not None and definition.sine.coordinate == "time")
@@ -251,7 +251,7 @@ def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
     definition = effect_definition(name)
     if not definition.possible(parameters, scales_of(subject.machine)):
         return True
-    if is_timed(name) and definition.sine is not None:
+    if hangs_on_time(name) and definition.sine is not None:
         frequency = np.array([parameters[definition.sine.period]])
         if in_step(subject.recording, frequency).any():
             return True

@@ -67,9 +67,8 @@ def choose_experiment(
     verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative], noise: float = 0.0
 ) -> str | None:
     """Return the next motion: the moves that separate causes and rivals; None: nothing. `noise`: as of `summarise`."""
-    left = (
-        FINER if noise > 0.0 else PLATEAUS if any(cause.stands_for == "curve over speed" for cause in causes) else TWICE
-    )
+    curved = any(cause.stands_for == "curve over speed" for cause in causes)
+    left = FINER if noise > 0.0 else PLATEAUS if curved else TWICE
     moves = [left] if verdict == "unexplained" else []
     for rival in rivals:
         if rival.instead_of is None:
