@@ -244,12 +244,8 @@ def _follow_others(
     others, fit = [record for record in records if record is not held_out], held_out.fit
     if others == [records[0]] and not together:
         return fit
-    members = [
-        Member(drop_causes(record.fit, found.causes, causes), record.origin_step if i else 0.0)
-        for i, record in enumerate(others)
-    ]
     common, own = find_common(found, fit, causes), fit.free()
-    joint = JointFit(tuple(members), common, own)
+    joint = JointFit(_list_members(found, others, causes), common, own)
     fit = replace(fit, theta=joint.numbers(joint.descend()))
     step = max(record.origin_step for record in records)
     origin = float(JointFit((Member(fit, step),), np.zeros_like(common), own).descend().origins[0])
@@ -257,14 +253,23 @@ def _follow_others(
     return replace(fit, subject=replace(fit.subject, recording=recording))
 
 
+def _list_members(found: Diagnosis, records: Sequence[_AxisRecord], causes: Sequence[Cause]) -> tuple[Member, ...]:
+    """Return the records of a joint fit, the first one's origin known, without causes that are not among those given.
+
+    Each starts at its own numbers: from those of another record a step far beyond them takes the common ones with it.
+    """
+    fits = [drop_causes(record.fit, found.causes, causes) for record in records]
+    starts = [replace(fit, theta=fit.fit(fit.theta, fit.free()).theta) for fit in fits]
+    steps = [0.0, *(record.origin_step for record in records[1:])]
+    return tuple(Member(*one) for one in zip(starts, steps, strict=True))
+
+
 def _fit_together(
     found: Diagnosis, extended: Machine, records: Sequence[_AxisRecord], shared: Sequence[Cause]
 ) -> Diagnosis:
     """Return a diagnosis with the numbers of all of its records; a cause of the first one alone stays that."""
     first, own = records[0].fit, records[0].fit.free()
-    members = [Member(first)]
-    members += [Member(drop_causes(record.fit, found.causes, shared), record.origin_step) for record in records[1:]]
-    joint = JointFit(tuple(members), find_common(found, first, shared), own)
+    joint = JointFit(_list_members(found, records, shared), find_common(found, first, shared), own)
     at = joint.descend()
     alternative = other_law(extended)
     others = [None if alternative is None else Subject.of(alternative, record.recording) for record in records]
