@@ -23,6 +23,8 @@ from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, bounds
 from sgms_mhe.diagnosis.result import Rms
 from sgms_mhe.diagnosis.transfer import judge_on_records
+from sgms_mhe.diagnosis.written_file import WrittenError
+from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log, write_log
@@ -69,7 +71,8 @@ def make_diagnosis(
 
 
 def judge_hidden(machine: Machine, hidden: Sequence[Hidden], others: Sequence[Log], **changes: Any) -> Diagnosis:
-    first = record_axis(machine, 1, hidden)
+    scale = {name: value / getattr(machine.friction, name) for name, value in changes.get("friction", {}).items()}
+    first = record_axis(machine, 1, hidden, scale=scale)
     return judge_on_records(make_diagnosis(machine, first, hidden, **changes), first, others, lambda _: None)
 
 
@@ -127,6 +130,35 @@ def test_a_level_is_judged_as_it_was_found(machine: Machine) -> None:
     assert found.causes[0].transfers is False
     # As a property of the record it is fitted, and no error of either machine.
     assert found.records[2].held_out_after < 1.1 * found.records[2].noise_floor_N
+
+
+def test_an_offset_of_each_record_is_no_one_number_and_the_estimator_follows_it(machine: Machine) -> None:
+    file = override_machine(machine, {"effects": [{"name": "constant_offset", "force_N": 5.0}]})
+    first, other = (record_axis(machine, seed, [RIPPLE], offset=offset) for seed, offset in ((1, 5.0), (2, 60.0)))
+    found = make_diagnosis(file, first, [("constant_offset", {"force_N": 5.0}), RIPPLE])
+    found = judge_on_records(found, first, [other], lambda _: None)
+    (offset,) = found.differences
+    assert offset.values == pytest.approx((5.0, 60.0), abs=0.1)
+    assert any("constant_offset.force_N differs between the records" in limit for limit in found.limits)
+    assert {cause.name: cause.transfers for cause in found.causes} == {"constant_offset": False, "force_ripple": True}
+    # Started at an offset 55 N off, a joint fit ends at another ripple.
+    assert all(record.held_out_after < 1.1 * record.noise_floor_N for record in found.records)
+    assert found.extended is not None
+    assert dict(found.extended.effects[0].parameters) == pytest.approx({"force_N": 5.0}, abs=0.1)
+    assert "constant_offset.force_N" in found.extended.estimator.parameters
+    assert found.extended.estimator.prior["constant_offset.force_N"] == pytest.approx(55.0, abs=0.1)
+
+
+def test_errors_of_the_written_file_are_those_of_predict(machine: Machine) -> None:
+    log = record_axis(machine, 2, [RIPPLE])
+    found = make_diagnosis(machine, log, [RIPPLE])
+    written = WrittenError.measure(machine, found.extended, log)
+    for file, error in ((machine, written.before), (found.extended, written.after)):
+        assert file is not None
+        stated = force_error(predict_log(file, log))
+        assert error == pytest.approx(stated.residual_rms_N, rel=1e-12)
+        assert written.force == pytest.approx(stated.force_rms_N, rel=1e-12)
+    assert written.after < 0.9 * written.before
 
 
 def test_records_that_do_not_show_a_cause_say_nothing_of_it(machine: Machine) -> None:

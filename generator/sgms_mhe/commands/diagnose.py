@@ -179,7 +179,7 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
         for n in diagnosis.refuted
         if diagnosis.is_rough
     ]
-    if diagnosis.errors:
+    if diagnosis.errors and not diagnosis.records:
         before, after, plain = (100.0 * diagnosis.errors[key] for key in ("before", "after", "plain"))
         lines.append(
             f"simulation error on data not used in the fit, of the {units.push}'s RMS: {before:.3g} % before, "
@@ -191,7 +191,9 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
         f"of the {units.push}'s RMS {', '.join(f'{100.0 * error:.3g} %' for error in r.errors.values())}"
         for r in diagnosis.records
     ]
-    lines += [f"open: {sentence}" for sentence in diagnosis.contradictions]
+    lines += [f"along {one.describe(units)}" for one in diagnosis.written if diagnosis.extended is not None]
+    differing = [one.describe(units) for one in diagnosis.differences]
+    lines += [f"open: {sentence}" for sentence in (*differing, *diagnosis.contradictions)]
     if diagnosis.separating_experiment:
         lines.append(f"next: {diagnosis.separating_experiment}")
     if gain is not None:

@@ -8,12 +8,12 @@ from sgms_mhe.diagnosis.result import (
     Cause,
     Diagnosis,
     Limit,
-    ResidualStructure,
     RivalFit,
     Rms,
     Score,
     Traces,
 )
+from sgms_mhe.diagnosis.structure import ResidualStructure
 from sgms_mhe.diagnosis.together import diagnose
 from sgms_mhe.diagnosis.writing import write_diagnosis, write_extended, write_refusal
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Estimator, Machine, plant_content
-from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_table
+from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_table, toml_tables
 from sgms_mhe.model.effects import effect_definition
 
 NAME_LENGTH = 48
@@ -23,6 +24,7 @@ def extend_machine(
     friction: Mapping[str, Any],
     effects: Sequence[Mapping[str, Any]] | None,
     moved: float | None = None,
+    followed: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Machine, dict[str, Any]]:
     """Return the machine with numbers corrected and effects added, and the tables that this changes.
 
@@ -35,6 +37,8 @@ def extend_machine(
         friction: changed keys of [friction].
         effects: all entries of [[effects]]; None where they stay as they are.
         moved: changed mass [kg], or inertia [kg m^2]; None where it stays.
+        followed: numbers that differ between records, which the estimator follows: deviation before any data by name,
+            as in [estimator.prior].
 
     Returns:
         The machine, and the changes as content of a machine file that `extends` the base.
@@ -57,9 +61,12 @@ def extend_machine(
     if effects is not None:
         changes["effects"] = [units.keyed(_within(effect)) for effect in effects]
         # Bounds are multiples of nominal values: those of an effect that the base has stay.
-    estimated = _estimable(machine, changes)
+    estimated = _estimable(machine, changes) or Estimator().parameters
+    estimated = (*estimated, *(name for name in followed if name not in estimated))
     if estimated != machine.estimator.parameters:
-        changes["estimator"] = {"parameters": [units.named(name) for name in estimated or Estimator().parameters]}
+        changes["estimator"] = {"parameters": [units.named(name) for name in estimated]}
+    if followed:
+        changes.setdefault("estimator", {})["prior"] = {units.named(key): value for key, value in followed.items()}
     extended = override_machine(machine, changes)
     return extended, changes
 
@@ -132,9 +139,11 @@ def extension_toml(machine: Machine, extended: Machine, changes: Mapping[str, An
             lines += toml_table(f"[{key}]", changes[key])
     if "estimator" in changes:
         before = [machine.plant.units.named(name) for name in machine.estimator.parameters]
-        left_out = [name for name in before if name not in changes["estimator"]["parameters"]]
-        why = f"Without {', '.join(left_out)}: 0 is no scale for an estimate."
-        lines += toml_table("[estimator]", changes["estimator"], why)
+        left_out = [name for name in before if name not in changes["estimator"].get("parameters", before)]
+        notes = [f"# Without {', '.join(left_out)}: 0 is no scale for an estimate."] if left_out else []
+        if followed := changes["estimator"].get("prior"):
+            notes.append(f"# Of each record its own: {', '.join(followed)}.")
+        lines += ["", *notes, *toml_tables("estimator", changes["estimator"])[1:]]
     for effect in changes.get("effects", ()):
         lines += toml_table("[[effects]]", effect, TABLE_NOTE if effect_definition(effect["name"]).learned else "")
     return "\n".join(lines) + "\n"

@@ -211,7 +211,7 @@ class JointFit:
 
         Of a common number: noise, which is another one in each record; the errors that are the same in all; and the
         spread between the records, by the change of the numbers that each of them asks for. Of one that each record
-        has of its own: the mean over records of what the fit of one is unsure of, and the spread of them.
+        has of its own: the mean over records of the covariance in one.
 
         Args:
             at: minimum.
@@ -241,13 +241,24 @@ class JointFit:
             if records > 1:
                 joint += records / (records - 1) * np.outer(asked, asked)
         joint += shifts.T @ shifts + np.diag(np.max([one.timing[shared] for one in errors], axis=0) ** 2)
-        thetas = np.array([point.theta[self.own] for point in at.points])
-        alone = np.mean([one.covariance[np.ix_(own, own)] for one in errors], axis=0)
         result = np.zeros((len(self.common), len(self.common)))
         result[np.ix_(self.common, self.common)] = joint
-        spread = np.var(thetas, axis=0, ddof=1) if records > 1 else np.zeros(int(self.own.sum()))
-        result[np.ix_(self.own, self.own)] = alone + np.diag(spread)
+        result[np.ix_(self.own, self.own)] = np.mean([one.covariance[np.ix_(own, own)] for one in errors], axis=0)
         return result
+
+    def find_differing(self, at: JointPoint, covariance: Array, matters: float) -> Mask:
+        """Return the numbers (n_p) that differ between the records beyond two deviations, by a force that matters.
+
+        Args:
+            at: minimum.
+            covariance: of the numbers in one record (n_p, n_p).
+            matters: RMS of a force that does [N].
+        """
+        width = np.ptp([point.theta for point in at.points], axis=0)
+        used = [member.fit.subject.recording.used for member in self.members]
+        forces = [np.sqrt(np.mean(p.jacobian[u] ** 2, axis=0)) for p, u in zip(at.points, used, strict=True)]
+        sure = width > 2.0 * np.sqrt(2.0 * np.diag(covariance))
+        return np.asarray(self.own & sure & (width * np.mean(forces, axis=0) > matters))
 
     def find_stopped(self, at: JointPoint) -> Mask:
         """Return the common numbers (n_p) that a bound stops: the records together say that they are beyond."""

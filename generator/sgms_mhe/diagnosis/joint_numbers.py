@@ -14,8 +14,10 @@ from sgms_mhe.diagnosis.beginning import refute_by_causes
 from sgms_mhe.diagnosis.causes import find_vague
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fits import report_name
+from sgms_mhe.diagnosis.joint_fit import JointFit, JointPoint
 from sgms_mhe.diagnosis.learned_machine import replace_base
 from sgms_mhe.diagnosis.numbers import friction_changes
+from sgms_mhe.diagnosis.own_numbers import OwnDifference
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup
 from sgms_mhe.diagnosis.record_fit import RecordFit
 from sgms_mhe.diagnosis.result import Cause, Diagnosis
@@ -48,17 +50,36 @@ def find_common(found: Diagnosis, fit: RecordFit, causes: Sequence[Cause]) -> Ma
 
 def _is_changed(file: Machine, column: JacobianColumn) -> bool:
     """Return True if a number of an extended machine is not that of the file."""
-    value = column.si(column.machine_theta)
+    return not math.isclose(column.si(column.machine_theta), _state_number(file, column), rel_tol=1e-12)
+
+
+def _state_number(file: Machine, column: JacobianColumn) -> float:
+    """Return a number as a machine file states it [SI]; NaN: it does not."""
     if column.group.kind == "own":
         effects = {effect.label: effect_definition(effect.name).entries(effect.parameters) for effect in file.effects}
-        stated = effects.get(column.group.label, {}).get(column.name, math.nan)
-    else:
+        return effects.get(column.group.label, {}).get(column.name, math.nan)
+    if column.group.kind == "base":
         number = base_number(column.name)
         stated = getattr(file.friction, column.name if number is None or not number.array else number.name)
-        if number is not None and number.array:
-            place = number.element(column.name)
-            stated = stated[place] if place < len(stated) else math.nan
-    return not math.isclose(value, stated, rel_tol=1e-12)
+        if number is None or not number.array:
+            return float(stated)
+        place = number.element(column.name)
+        return float(stated[place]) if place < len(stated) else math.nan
+    return math.nan
+
+
+def find_contradicted(file: Machine, joint: JointFit, at: JointPoint) -> Mask:
+    """Return the numbers (n_p) whose mean over the records is farther from one of them than that of the file, or none.
+
+    Args:
+        file: machine that was diagnosed.
+        joint: fit of its extended machine to all records.
+        at: minimum.
+    """
+    columns, thetas = joint.members[0].fit.model.columns, np.array([point.theta for point in at.points])
+    stated = [column.theta(_state_number(file, column)) for column in columns]
+    none = np.where(np.isfinite(stated), stated, [column.theta(column.none) for column in columns])
+    return np.asarray(np.any(np.abs(thetas - joint.numbers(at)) > np.abs(thetas - none), axis=0))
 
 
 def theta_without(fit: RecordFit, cause: Cause) -> Array:
@@ -87,32 +108,37 @@ def drop_causes(fit: RecordFit, causes: Sequence[Cause], kept: Sequence[Cause]) 
 def adopt_numbers(
     found: Diagnosis,
     extended: Machine,
-    fit: RecordFit,
-    free: Mask,
-    theta: Array,
+    joint: JointFit,
+    at: JointPoint,
     covariance: Array,
-    stopped: Mask,
+    differing: Mask,
     causes: Sequence[Cause],
 ) -> Diagnosis:
     """Return a diagnosis with the numbers of several records in its causes and in its extended machine.
 
+    A number that differs between the records stays that of the first one, and the extended machine estimates it. Any
+    other that each record has of its own is the mean of all.
+
     Args:
         found: of the first record.
         extended: its extended machine.
-        fit: that along the first record.
-        free: numbers (n_p) that were fitted.
-        theta: the numbers (n_p).
-        covariance: of them (n_p, n_p).
-        stopped: numbers (n_p) that a bound stops: how far beyond they are, nothing says.
+        joint: fit of that to all records.
+        at: minimum.
+        covariance: of the numbers in one record (n_p, n_p).
+        differing: numbers (n_p) that differ between the records.
         causes: that the records have in common.
     """
+    fit, stopped = joint.members[0].fit, joint.find_stopped(at)
+    thetas = np.array([point.theta for point in at.points])
+    theta = np.where(differing, thetas[0], joint.numbers(at))
+    covariance = covariance + np.diag(np.where(joint.own & ~differing, np.var(thetas, axis=0, ddof=1), 0.0))
     kept = {cause.label for cause in found.causes} - {cause.label for cause in causes}
     values: dict[ParameterGroup, dict[str, float]] = {}
     deviations: dict[ParameterGroup, dict[str, float]] = {}
     for i, column in enumerate(fit.model.columns):
         if column.group.is_candidate or column.group.name in kept:
             continue
-        if free[i] and _is_changed(found.machine, column):
+        if joint.free[i] and _is_changed(found.machine, column):
             values.setdefault(column.group, {})[column.name] = column.si(float(theta[i]))
             std = math.sqrt(max(0.0, float(covariance[i, i]))) * abs(column.scale)
             std = math.nan if stopped[i] else std
@@ -127,6 +153,11 @@ def adopt_numbers(
         own = values.get(ParameterGroup.own(effect.name, effect.label), {})
         known = {**definition.entries(effect.parameters), **own}
         effects.append({"name": effect.name, **(definition.tidy(known) if own else effect.parameters)})
+    differences = tuple(
+        OwnDifference(column.group, column.name, tuple(column.si(float(at_record[i])) for at_record in thetas))
+        for i, column in enumerate(fit.model.columns)
+        if differing[i]
+    )
     has_effects = "effects" in (found.changes or {}) or bool(effects)
     machine, changes = extend_machine(
         found.machine,
@@ -134,9 +165,14 @@ def adopt_numbers(
         friction,
         effects if has_effects else None,
         extended.plant.moved,
+        {name: prior for one in differences for name, prior in one.estimated.items()},
     )
-    stated = tuple(_state(cause, values, deviations) for cause in found.causes)
-    result = replace(found, causes=stated, extended=machine, changes=changes)
+    labels = {one.group.name for one in differences}
+    stated = tuple(
+        replace(_state(cause, values, deviations), transfers=False if cause.label in labels else cause.transfers)
+        for cause in found.causes
+    )
+    result = replace(found, causes=stated, extended=machine, changes=changes, differences=differences)
     if not result.is_rough:
         result = replace(result, refuted=refute_by_causes(stated))
     return replace_base(result)

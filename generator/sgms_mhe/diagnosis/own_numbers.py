@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.parametrisation import JacobianColumn
-from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
+from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup
+from sgms_mhe.machine import Units
+from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition, reported_name
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
@@ -20,6 +21,43 @@ def is_of_record(name: str, recording: Recording) -> bool:
     """Return True if a cause belongs to a record more than to the axis; a mass does where each moves a payload."""
     moves_mass = name in EFFECT_NAMES and bool(effect_definition(name).adds_mass)
     return cause(name).of_record or (moves_mass and recording.has_payload)
+
+
+@dataclass(frozen=True)
+class OwnDifference:
+    """A number that records of one axis do not agree on.
+
+    Attributes:
+        group: what it belongs to.
+        name: in SI results.
+        values: of each record, the first one's first [SI].
+    """
+
+    group: ParameterGroup
+    name: str
+    values: tuple[float, ...]
+
+    @property
+    def reported_name(self) -> str:
+        """Return its name in reports, as of a linear axis."""
+        return reported_name(self.name) if self.group.kind == "base" else f"{self.group.name}.{self.name}"
+
+    @property
+    def estimated(self) -> dict[str, float]:
+        """Return its name in a machine file's estimator, and its deviation before any data; of none without an effect.
+
+        The largest distance from the first record's value: of the friction law over that, of an effect in its unit.
+        """
+        first = self.values[0]
+        far = max(abs(value - first) for value in self.values)
+        if self.group.kind == "own":
+            return {f"{self.group.label}.{self.name}": far}
+        return {self.name: far / first} if self.group.kind == "base" and first > 0.0 else {}
+
+    def describe(self, units: Units) -> str:
+        """Return it in a sentence."""
+        values = " and ".join(f"{value:.4g}" for value in self.values)
+        return f"{units.named(self.reported_name)} differs between the records: {values}; no one number holds"
 
 
 @dataclass(frozen=True, eq=False)

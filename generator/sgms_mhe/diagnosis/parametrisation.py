@@ -24,7 +24,7 @@ from sgms_mhe.model import SIGNAL_NAMES, FreeParameter
 from sgms_mhe.model.building import find_read, plain_force
 from sgms_mhe.model.effects import BASE_CAUSES, Stage, effect_definition
 from sgms_mhe.model.effects.definition import ReadAs
-from sgms_mhe.model.effects.parameters import RecordLimit, StepLimit
+from sgms_mhe.model.effects.parameters import RecordLimit, StepLimit, any_step
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
 
@@ -388,7 +388,7 @@ def base_column(free: FreeParameter, zero: Mapping[str, float]) -> JacobianColum
 
 def step_limit(column: JacobianColumn, theta: float, recording: Recording) -> float:
     """Largest change of theta in one step, beyond which derivatives do not hold."""
-    if not column.group.is_candidate or column.step is None:
+    if column.step is None or not (column.group.is_candidate or column.step is any_step):
         return MACHINE_STEP * max(1.0, abs(theta))
     scale = abs(column.scale)
     return column.step(column.si(theta), scale, recording.extents) / scale

@@ -16,6 +16,9 @@ from sgms_mhe.diagnosis.document import make_document
 from sgms_mhe.diagnosis.extension import extension_toml
 from sgms_mhe.diagnosis.learned import Learned
 from sgms_mhe.diagnosis.other_record import JudgedRecord, list_contradictions
+from sgms_mhe.diagnosis.own_numbers import OwnDifference
+from sgms_mhe.diagnosis.structure import ResidualStructure
+from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import html_table, labelled_axes
@@ -166,29 +169,6 @@ class PlainFriction:
 
 
 @dataclass(frozen=True)
-class ResidualStructure:
-    """Dependence of the residual on one coordinate.
-
-    Attributes:
-        coordinate: position, velocity, acceleration, time, after_reversal or frequency.
-        rms_N: RMS of the residual that is a function of that coordinate (bin means beyond noise; peak of the spectrum).
-        p_value: of no dependence.
-        peak: coordinate of its maximum.
-        centres: bins (k).
-        mean_N: residual's mean in each bin (k); for frequency its amplitude spectrum [N].
-        encoder_N: `rms_N` of the force that the encoder's steps leave; 0 where they do not show, and for frequency.
-    """
-
-    coordinate: str
-    rms_N: float
-    p_value: float
-    peak: float
-    centres: Array
-    mean_N: Array
-    encoder_N: float = 0.0
-
-
-@dataclass(frozen=True)
 class Traces:
     """Signals at the rate of the fit, all (m,).
 
@@ -278,6 +258,8 @@ class Diagnosis:
         records: all records where there are several, the first one first.
         combinations: of causes that the record does not tell apart.
         learned: part of the residual that no cause accounts for and coordinates of the motion predict.
+        differences: numbers that the records do not agree on; the extended machine has the first one's.
+        written: errors of the machine's file and of the extended one along each record.
     """
 
     machine: Machine
@@ -312,6 +294,8 @@ class Diagnosis:
     records: tuple[JudgedRecord, ...] = ()
     combinations: tuple[KnownCombination, ...] = ()
     learned: Learned | None = None
+    differences: tuple[OwnDifference, ...] = ()
+    written: tuple[WrittenError, ...] = ()
 
     @property
     def errors(self) -> dict[str, float]:
@@ -357,7 +341,8 @@ class Diagnosis:
             if not math.isfinite(b.std)
         ]
         collinear = (known.describe() for known in self.combinations)
-        others = (*self.undecided, *self._parts, *vague, *collinear, *self.contradictions)
+        differing = (one.describe(self.machine.plant.units) for one in self.differences)
+        others = (*differing, *self.undecided, *self._parts, *vague, *collinear, *self.contradictions)
         return (*map(Limit, self._left), *pairs, *map(Limit, others), *unknown)
 
     @property
@@ -388,7 +373,8 @@ class Diagnosis:
     @property
     def contradictions(self) -> tuple[str, ...]:
         """Return the sentences on what does not hold on other records."""
-        contradicted = [cause.label for cause in self.causes if cause.transfers is False]
+        differing = {one.group.name for one in self.differences}
+        contradicted = [c.label for c in self.causes if c.transfers is False and c.label not in differing]
         asked = {t.label for record in self.records[:1] for t in record.causes}  # the first too: they are of all
         records = () if self.extended is None else self.records[1:]
         unit = self.machine.plant.units.force
@@ -469,6 +455,7 @@ class Diagnosis:
                 for cause in self.causes
             ],
             records=[record.to_json() for record in self.records],
+            written=[one.to_json() for one in self.written],
             alternatives=[
                 {"name": a.name, "why_not": a.why_not, "rival": a.rival, "parameters": dict(a.parameters)}
                 for a in self.alternatives

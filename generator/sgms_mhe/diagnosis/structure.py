@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import welch
 
-from sgms_mhe.diagnosis.result import ResidualStructure
 from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import apply_chain
@@ -27,6 +26,29 @@ beyond noise]: curves over speed add up to nearly any other one, and what they m
 else is left the map over speed shows some of that."""
 LINE_POWER: Final = 3.0
 """Power of a spectrum's bin that counts as structure [median power]: above the scatter of the bins."""
+
+
+@dataclass(frozen=True)
+class ResidualStructure:
+    """Dependence of the residual on one coordinate.
+
+    Attributes:
+        coordinate: position, velocity, acceleration, time, after_reversal or frequency.
+        rms_N: RMS of the residual that is a function of that coordinate (bin means beyond noise; peak of the spectrum).
+        p_value: of no dependence.
+        peak: coordinate of its maximum.
+        centres: bins (k).
+        mean_N: residual's mean in each bin (k); for frequency its amplitude spectrum [N].
+        encoder_N: `rms_N` of the force that the encoder's steps leave; 0 where they do not show, and for frequency.
+    """
+
+    coordinate: str
+    rms_N: float
+    p_value: float
+    peak: float
+    centres: Array
+    mean_N: Array
+    encoder_N: float = 0.0
 
 
 def structure_map(recording: Recording, residual: Array, encoder: Array | None = None) -> tuple[ResidualStructure, ...]:

@@ -14,6 +14,7 @@ from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.diagnosis.transfer import judge_on_records, leaves_something, predicts_better
 from sgms_mhe.diagnosis.verdict import diagnose_logs
+from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
@@ -54,7 +55,8 @@ def diagnose(
             found = _diagnose_together(found, log, others, held_out_s, told)
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
-    return replace(found, seconds=time.monotonic() - started)
+    written = tuple(WrittenError.measure(machine, found.extended, one) for one in (log, *others))
+    return replace(found, written=written, seconds=time.monotonic() - started)
 
 
 def _diagnose_together(

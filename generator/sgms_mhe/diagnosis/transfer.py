@@ -21,7 +21,7 @@ from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.diagnosis.final_fit import split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject
 from sgms_mhe.diagnosis.joint_fit import JointFit, Member
-from sgms_mhe.diagnosis.joint_numbers import adopt_numbers, drop_causes, find_common, theta_without
+from sgms_mhe.diagnosis.joint_numbers import adopt_numbers, drop_causes, find_common, find_contradicted, theta_without
 from sgms_mhe.diagnosis.laws import SHARPER, other_law
 from sgms_mhe.diagnosis.learned import LearnedRecord
 from sgms_mhe.diagnosis.learned_machine import judge_learned
@@ -274,17 +274,19 @@ def _fit_together(
     alternative = other_law(extended)
     others = [None if alternative is None else Subject.of(alternative, record.recording) for record in records]
     covariance = joint.errors(at, others)
+    floor = max(record.noise_floor_N for record in found.records)
+    differing = joint.find_differing(at, covariance, material_force(found.machine, floor))
+    differing &= find_contradicted(found.machine, joint, at)
     log_decision(
         "records",
         "numbers of all records together",
         common=int(joint.common.sum()),
         of_each_record=int(own.sum()),
+        differing=[column.name for column, differs in zip(first.model.columns, differing, strict=True) if differs],
         residual_N=[fit.rms for fit in joint.fits(at)],
         origins_m=at.origins.tolist(),
     )
-    return adopt_numbers(
-        found, extended, first, joint.free, joint.numbers(at), covariance, joint.find_stopped(at), shared
-    )
+    return adopt_numbers(found, extended, joint, at, covariance, differing, shared)
 
 
 def _judge_cause(after: RecordFit, fit: Fit, cause: Cause, floor: float, found: Diagnosis) -> TransferredCause:

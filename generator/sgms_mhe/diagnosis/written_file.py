@@ -1,0 +1,62 @@
+"""Errors of machine files along the records of a diagnosis, run as `predict` runs them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sgms_mhe.configuration import step_every_sample
+from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.machine import Machine, Units
+from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.logs import Log, align_velocity
+
+
+@dataclass(frozen=True)
+class WrittenError:
+    """Residual of the machine's file and of the extended one along a record, over its valid samples; RMS [N].
+
+    Attributes:
+        name: source of its log.
+        before, after: measured minus simulated friction; both are the file's where no other one is written.
+        force: RMS of the drive force.
+    """
+
+    name: str
+    before: float
+    after: float
+    force: float
+
+    @classmethod
+    def measure(cls, machine: Machine, written: Machine | None, log: Log) -> WrittenError:
+        """Run the machine and the one that is written along a log (None: none is)."""
+        before, force = _run(machine, log)
+        after = before if written is None else _run(written, log)[0]
+        return cls(log.source or "log", before, after, force)
+
+    def describe(self, units: Units) -> str:
+        """Return it in a sentence."""
+        before, after = (f"{value / self.force:.3g}" for value in (100.0 * self.before, 100.0 * self.after))
+        return f"{self.name}: {before} % of the {units.push}'s RMS with the file as it was, {after} % as written"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its entry in diagnosis.json, keys of a linear axis."""
+        rms = {"before": self.before, "after": self.after}
+        force = self.force if self.force > 0.0 else math.nan
+        return {
+            "name": self.name,
+            "residual_rms_N": rms,
+            "relative_error": {key: value / force for key, value in rms.items()},
+        }
+
+
+def _run(machine: Machine, log: Log) -> tuple[float, float]:
+    """Return the RMS of measured minus simulated friction over a log's valid samples, and of the drive force [N]."""
+    signals: Signals = signals_from_log(align_velocity(log), machine)
+    residual = signals.friction - CompiledModel(step_every_sample(machine)).predict(signals).friction_N
+    rows = np.column_stack((residual, signals.force))[signals.valid]
+    error, force = np.sqrt(np.mean(rows**2, axis=0)).tolist()
+    return error, force
