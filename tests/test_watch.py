@@ -27,7 +27,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from cli_cases import SCRIPT, done, files, on_terminal, refused, run
+from cli_cases import SCRIPT, done, files, refused, run
 from log_dialects import machine, trace
 from sgms_bench.logs.dialects import DIALECTS
 from sgms_mhe.api.estimation import estimate
@@ -737,19 +737,6 @@ def test_standard_input_is_watched(small: Path, log: Path, tmp_path: Path) -> No
     assert watch.returncode == 0
     assert rows_out == (tmp_path / "e.csv").read_text()
     assert '"ended": "end of the input"' in summary  # the rows have stdout
-
-
-@pytest.mark.slow
-def test_a_terminal_shows_a_panel_that_goes(small: Path, log: Path) -> None:
-    shown = on_terminal("watch", small, log, "--speed", "max")
-    assert "stiffness_1" in shown and "± 2 sigma" in shown and "test ratio" in shown
-    assert re.search(r"[▁▂▃▄▅▆▇█]{10}", shown)
-    assert re.search(r"\x1b\[[0-9;]*3[0-9]m", shown)
-    assert shown.rstrip().endswith("\x1b[2K") or "\x1b[1A" in shown.rpartition("─╯")[2]
-    narrow = on_terminal("watch", small, log, "--speed", "max", COLUMNS="72", NO_COLOR="1")
-    assert "stiffness_1" in narrow and "± 2 sigma" in narrow and "…" not in narrow
-    assert not re.search(r"\x1b\[[0-9;]*3[0-9]m", narrow)
-    assert "=" in on_terminal("watch", small, log, "--speed", "max", PYTHONIOENCODING="ascii:replace")
 
 
 # --- how much of a core it takes --------------------------------------------------------------------------------

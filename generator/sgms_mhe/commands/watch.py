@@ -17,7 +17,6 @@ from sgms_mhe.commands.common import (
     NumberType,
     check_output_file,
     example,
-    is_quiet,
     is_stream,
     json_option,
     json_text,
@@ -33,7 +32,7 @@ from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
     from sgms_mhe.api.watching import ReplayClock, SampleSource, Watch
-    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, WatchView
+    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, WatchLines
     from sgms_mhe.machine import Machine
 
 TOGETHER_S: Final = 1.0
@@ -111,7 +110,7 @@ class Interrupt:
     metavar="S",
     default=5.0,
     show_default=True,
-    help="Without a terminal, a line so often [s of the log].",
+    help="A line on stderr so often [s of the log].",
 )
 @click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Page to write, anew every 2 s.")
 @out_option("CSV to write, as estimate does: rows are appended as they come.", required=False)
@@ -148,7 +147,7 @@ def command(
         raise InputError(log, "--speed", speed, "a log that is replayed; one that grows comes as fast as it is written")
 
     from sgms_mhe.api.watching import HostClock, Watch
-    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, view
+    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, WatchLines
 
     with Interrupt() as interrupt:  # before anything takes time: an exception in the midst of an import may be lost
         clock = HostClock()
@@ -156,8 +155,7 @@ def command(
         watch, name = Watch(resolved), str(log) if str(log) != "-" else "standard input"
         shown = None if page is None else Page(page, name, clock.now)
         rows = None if out is None else GrowingEstimates(out)
-        with view(name, every_s, clock.now, quiet=is_quiet()) as seen:
-            error = _run(source, watch, interrupt, seen, shown, rows, judged=not growing)
+        error = _run(source, watch, interrupt, WatchLines(every_s), shown, rows, judged=not growing)
         if rows is not None:
             rows.close()
         watch.judge()
@@ -191,7 +189,7 @@ def _run(
     source: SampleSource,
     watch: Watch,
     interrupt: Interrupt,
-    seen: WatchView,
+    lines: WatchLines,
     page: Page | None,
     rows: GrowingEstimates | None,
     *,
@@ -208,7 +206,7 @@ def _run(
             for doubt in watch.doubts[told:]:
                 note(doubt)
             told = len(watch.doubts)
-            seen.show(watch.course)
+            lines.show(watch.course)
             if page is not None:
                 page.show(watch.course, tuple(watch.doubts))
     except InputError as error:

@@ -1,77 +1,26 @@
-"""Where `sgms-mhe watch` shows a run: on a terminal, in lines, as a page, in a growing file of estimates."""
+"""Outputs of `sgms-mhe watch`: lines, a page, a growing file of estimates."""
 
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
-from typing import BinaryIO, Final, Protocol, Self
+from typing import BinaryIO, Final
 
 import numpy as np
-from numpy.typing import NDArray
-from rich.console import Console, Group
-from rich.live import Live
-from rich.panel import Panel
-from rich.table import Table
-from rich.text import Text
 
 from sgms_mhe.commands.common import is_stream, note
-from sgms_mhe.evaluation.watching import RunSummary, flags_of, status_words
+from sgms_mhe.evaluation.watching import RunSummary, status_words
 from sgms_mhe.report import Watched, write_watch_page
-from sgms_mhe.report.units import force, plain, quantity, use_units
-from sgms_mhe.report.watch import interval_text, seconds
-from sgms_mhe.report.words import relative_change
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
 
-Array = NDArray[np.float64]
-
-PANEL_S: Final = 0.15
-"""Between two pictures on a terminal."""
 PAGE_S: Final = 2.0
 """Between two pages."""
-MARKS: Final = ("▁▂▃▄▅▆▇█", "_.-=^")
-"""Of a trend, the lowest first: of terminals with Unicode, and of others."""
-TREND: Final = 24
-"""Marks of a trend."""
-WIDE: Final = 90
-"""Columns of a terminal that has room for the trends of parameters."""
 
 
-class WatchView(Protocol):
-    """Shows a run."""
-
-    def __enter__(self) -> Self:
-        """Begin."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Leave nothing behind that is half done."""
-
-    def show(self, course: RunSummary) -> None:
-        """Show it as it is now; called often."""
-
-
-class Nothing:
-    """Empty view of --quiet."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        pass
-
-    def show(self, course: RunSummary) -> None:
-        """Nothing."""
-
-
-class WatchLines(Nothing):
+class WatchLines:
     """A line on stderr every so many seconds of the log."""
 
     def __init__(self, every_s: float) -> None:
@@ -92,79 +41,6 @@ class WatchLines(Nothing):
         friction = f"friction {float(last.friction_N[0]):.4g} {units.force}"
         ratio = f"test ratio {float(last.test_ratio[0]):.3g}"
         note(", ".join([f"{time:.2f} s: {status_words(int(last.status[0]))}", friction, ratio, *parameters]))
-
-
-class Picture:
-    """A panel on a terminal that is drawn over itself, and goes when the run is over."""
-
-    def __init__(self, source: str, now: Callable[[], float]) -> None:
-        self._source, self._now = source, now
-        self._console = Console(stderr=True)
-        self._live = Live(console=self._console, auto_refresh=False, transient=True)
-        self._due = -np.inf
-        encoding = (self._console.encoding or "").lower()
-        self._marks = MARKS[0 if encoding.startswith("utf") else 1]
-
-    def __enter__(self) -> Self:
-        self._live.__enter__()
-        self._live.update(Panel("waiting for the first update", title=self._source), refresh=True)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._live.__exit__(kind, error, trace)
-
-    def show(self, course: RunSummary) -> None:
-        """A new picture, where one is due."""
-        if course.latest is None or self._now() < self._due:
-            return
-        self._due = self._now() + PANEL_S
-        with use_units(course.machine.plant.units):
-            self._live.update(self._drawn(course, course.latest), refresh=True)
-
-    def _drawn(self, course: RunSummary, last: Estimates) -> Panel:
-        flags = flags_of(int(last.status[0]))
-        colour = {"refused": "red", "doubt": "red", "good": "green"}.get(flags[0], "yellow")
-        recent, points, n_p = course.recent, course.trend.points, len(course.names)
-        greatest, at = course.greatest
-        top = Table.grid(padding=(0, 2))
-        top.add_row("status", Text(status_words(int(last.status[0])), style=f"bold {colour}"), "")
-        friction, measured = float(last.friction_N[0]), float(last.friction_measured_N[0])
-        shown = Text(f"{force(friction)}, measured {force(measured)}")
-        top.add_row("friction", shown, self._trend(recent[:, 2]))
-        top.add_row("innovation", force(float(last.innovation_N[0])), "")
-        ratio = f"{plain(float(last.test_ratio[0]))}, greatest {plain(greatest)} at {seconds(at)}"
-        top.add_row("test ratio", ratio, self._trend(np.log(np.maximum(points[:, 2 * n_p], 1e-3))))
-        table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-        heads: tuple[str, ...] = ("parameter", "estimate, ± 2 sigma", "machine file", "change", "trend")
-        heads = heads[: None if self._console.width >= WIDE else -1]
-        for head in heads:
-            table.add_column(head, justify="left" if head in ("parameter", "trend") else "right", no_wrap=True)
-        for k, name in enumerate(course.names):
-            value, nominal = float(last.parameters[0, k]), float(course.nominal[k])
-            cells = (
-                course.machine.plant.units.named(name),
-                str(interval_text(name, value, float(last.std[0, k]))),
-                str(quantity(name, nominal)),
-                relative_change(nominal, value),
-                self._trend(points[:, k]),
-            )
-            table.add_row(*cells[: len(heads)])
-        counts = f"{course.updates} updates, faults seen: {course.faults}"
-        title = f"{course.machine.name}  {self._source}  {seconds(float(last.time_s[0]))}"
-        return Panel(Group(top, "", table), title=title, subtitle=counts, border_style="dim", title_align="left")
-
-    def _trend(self, values: Array) -> str:
-        """Marks from the least to the greatest of the values, the newest to the right."""
-        values = values[np.isfinite(values)]
-        if not len(values):
-            return ""
-        parts = np.array_split(values, min(TREND, len(values)))
-        means = np.array([part.mean() for part in parts])
-        span = float(np.ptp(means)) or 1.0
-        places = (means - means.min()) / span * (len(self._marks) - 1)
-        return "".join(self._marks[round(place)] for place in places)
 
 
 class Page:
@@ -243,10 +119,3 @@ class GrowingEstimates:
         with atomic_write(self._path) as whole:
             whole.write(header)
         return self._path.open("ab", buffering=0), len(header)
-
-
-def view(source: str, every_s: float, now: Callable[[], float], *, quiet: bool) -> WatchView:
-    """How a run is shown: a picture on a terminal, else lines; nothing where nothing is to be said."""
-    if quiet:
-        return Nothing()
-    return Picture(source, now) if sys.stderr.isatty() else WatchLines(every_s)
