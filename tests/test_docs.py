@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import importlib.util
 import re
@@ -10,7 +9,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import click
 import pytest
@@ -232,64 +230,6 @@ def test_words_that_are_not_used(page: Path) -> None:
     text = re.sub(r"\s+", " ", without_code(read(page)))
     found = [word for word in retired_words() if re.search(rf"\b{re.escape(word)}(s|d|ed)?\b", text)]
     assert not found
-
-
-# --- words of the code ------------------------------------------------------------------------------------------
-
-SOURCES = tuple(sorted([*(ROOT / "generator" / "sgms_mhe").rglob("*.py"), *(ROOT / "bench").rglob("*.py")]))
-QUESTION = re.compile(r"(What|Whether|Which|That)\b")
-NO_VERB = re.compile(r"\w*[a-z]ed$|(within|without|beside|with|in|of|at|along|so|by|under|after|behind)_")
-DOCSTRINGS, NAMES, CLASSES, RETIRED = 0.01, 0.03, 8, 21
-"""Shares and counts that may not grow: docstrings that ask, functions without a verb, shared names, retired words."""
-
-DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
-
-
-@pytest.fixture(scope="module")
-def trees() -> dict[Path, ast.Module]:
-    """Syntax tree of every Python file of product and bench."""
-    assert len(SOURCES) > 200
-    return {path: ast.parse(read(path)) for path in SOURCES}
-
-
-def nodes(trees: dict[Path, ast.Module], *kinds: type[ast.AST]) -> Iterator[tuple[Path, Any]]:
-    """All nodes of these kinds, each with its file."""
-    yield from ((path, node) for path, tree in trees.items() for node in ast.walk(tree) if isinstance(node, kinds))
-
-
-def test_pages_say_what_twice_in_a_thousand_words_at_most() -> None:
-    words = [word for page in PAGES if page.name != "CHANGELOG.md" for word in re.findall(r"\w+", read(page).lower())]
-    assert words.count("what") <= 0.002 * len(words)
-
-
-def test_docstrings_open_with_a_verb_or_a_noun(trees: dict[Path, ast.Module]) -> None:
-    texts = [(path, ast.get_docstring(node)) for path, node in nodes(trees, *DOCUMENTED)]
-    documented = [f"{path.name}: {text.splitlines()[0]}" for path, text in texts if text]
-    questions = [text for text in documented if QUESTION.match(text.partition(": ")[2])]
-    assert len(questions) <= DOCSTRINGS * len(documented), questions
-
-
-def test_functions_are_verbs(trees: dict[Path, ast.Module]) -> None:
-    names = [f"{path.name}: {node.name}" for path, node in nodes(trees, ast.FunctionDef)]
-    found = [name for name in names if NO_VERB.match(name.partition(": ")[2].lstrip("_"))]
-    assert len(found) <= NAMES * len(names), found
-
-
-def test_a_class_name_has_one_meaning(trees: dict[Path, ast.Module]) -> None:
-    places: dict[str, set[Path]] = {}
-    for path, node in nodes(trees, ast.ClassDef):
-        places.setdefault(node.name, set()).add(path)
-    assert len([name for name, where in places.items() if len(where) > 1]) <= CLASSES
-
-
-def test_code_uses_the_words_of_the_glossary(trees: dict[Path, ast.Module]) -> None:
-    """In names of classes and functions, and in docstrings."""
-    found = []
-    for path, node in nodes(trees, *DOCUMENTED):
-        name = re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", getattr(node, "name", "")).lower()
-        text = re.sub(r"\s+", " ", f"{name} {re.sub('`[^`]*`', '', ast.get_docstring(node) or '')}")
-        found += [f"{path.name}: {word}" for word in retired_words() if re.search(rf"\b{re.escape(word)}\b", text)]
-    assert len(found) <= RETIRED, found
 
 
 # --- drawings ---------------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """The rooms of the package: all on the map in CONTRIBUTING, and each imports from rooms below its own alone.
 
-And what keeps them fit to live in: nothing is imported in hiding, no file, function or template outgrows its limit, and
-no effect is known by its name outside the catalogue: what is said of one stands in its definition.
+And what keeps them fit to live in: nothing is imported in hiding, and no effect is known by its name outside the
+catalogue: what is said of one stands in its definition.
 """
 
 from __future__ import annotations
@@ -20,13 +20,8 @@ pytestmark = pytest.mark.core
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "generator" / "sgms_mhe"
 BENCH = ROOT / "bench" / "sgms_bench"
-MOST_ROOMS, MOST_ARROWS = 18, 80
-LONGEST_FILE, LONGEST_FUNCTION, LONGEST_TEMPLATE = 500, 80, 300
-"""Lines."""
 DOORS = {"__main__": "cli"}
 """Modules that only lead into a room."""
-FACADE = "api"
-"""The room that hands all others on: its arrows say nothing about how they hang together."""
 LATE = "commands"
 """The room whose imports may stand in functions: the help of a command has to come without casadi and numpy."""
 
@@ -72,14 +67,13 @@ def test_every_room_is_on_the_map() -> None:
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", *DOORS}
     assert sorted(rooms_on_the_map()) == sorted(folders | modules)
-    assert len(rooms_on_the_map()) <= MOST_ROOMS
 
 
 def test_arrows_point_downwards() -> None:
     """So there is no circle either."""
     order = {room: place for place, room in enumerate(rooms_on_the_map())}
     found = arrows()
-    assert len(order) < sum(above != FACADE for above, _ in found) <= MOST_ARROWS
+    assert len(found) > len(order)
     upwards = [f"{a} -> {b}: {', '.join(files)}" for (a, b), files in found.items() if order[a] > order[b]]
     assert not upwards
 
@@ -103,26 +97,6 @@ def test_the_product_knows_nothing_of_the_workbench() -> None:
     texts = {path.relative_to(ROOT): path.read_bytes() for path in files if path.is_file() and path.suffix != ".pyc"}
     assert [str(path) for path, text in texts.items() if b"sgms_bench" in text] == []
     assert any("sgms_mhe" in path.read_text(encoding="utf-8") for path in BENCH.rglob("*.py"))
-
-
-def test_no_file_and_no_function_is_too_long() -> None:
-    long = []
-    for path in [*sorted(PACKAGE.rglob("*.py")), *sorted(BENCH.rglob("*.py"))]:
-        text, own = path.read_text(encoding="utf-8"), path.relative_to(ROOT)
-        if text.count("\n") > LONGEST_FILE:
-            long.append(f"{own}: {text.count(chr(10))} lines")
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                lines = (node.end_lineno or node.lineno) - node.lineno + 1
-                if lines > LONGEST_FUNCTION:
-                    long.append(f"{own}: {node.name} has {lines} lines")
-    assert not long
-
-
-def test_no_template_is_too_long() -> None:
-    lengths = {path: path.read_text(encoding="utf-8").count("\n") for path in (ROOT / "templates").rglob("*.jinja")}
-    assert lengths
-    assert [f"{path.relative_to(ROOT)}: {lines}" for path, lines in lengths.items() if lines > LONGEST_TEMPLATE] == []
 
 
 # --- names of effects --------------------------------------------------------------------------------------------
