@@ -25,7 +25,7 @@ def generate(
             nothing.
         amalgamate: all C in one source and one header.
         bindings: one or several languages and tools that it is to be called from besides: "python", "cpp", "fmu2",
-            "fmu3", "simulink", "iec".
+            "fmu3".
 
     Returns:
         The machine, its files, text by name, and the archives of its bindings, bytes by name.

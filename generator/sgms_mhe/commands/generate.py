@@ -27,7 +27,7 @@ from sgms_mhe.commands.common import (
 @machine_argument
 @out_option("The package's folder; default generated/NAME below the working directory.", metavar="DIR", required=False)
 @click.option("--amalgamate", is_flag=True, help="All C in one source and one header.")
-@click.option("--bindings", metavar="LIST", help="Also for, with commas: python, cpp, fmu2, fmu3, simulink, iec.")
+@click.option("--bindings", metavar="LIST", help="Also for, with commas: python, cpp, fmu2, fmu3.")
 @json_option
 def command(machine: str, out: Path | None, amalgamate: bool, bindings: str | None, as_json: bool) -> None:
     """Emit MACHINE's estimator as a folder of C99 that needs no library.

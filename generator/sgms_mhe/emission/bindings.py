@@ -32,26 +32,25 @@ BINDINGS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "{name}_fmi3.fmu/sources/buildDescription.xml": "bindings/fmi3_build.xml",
             "{name}_fmi3.fmu/sources/{name}_fmi3.c": "bindings/fmi3.c",
         },
-        "simulink": {"{name}_sfun.c": "bindings/simulink.c", "{name}_block.m": "bindings/simulink.m"},
-        "iec": {"{name}.st": "bindings/iec.st", "{name}_iec.c": "bindings/iec.c", "{name}_iec.h": "bindings/iec.h"},
     }
 )
 """Templates by file, by the name of the binding; files below one that ends in `.fmu` are those of that archive."""
+_NEVER_RUN: Final = ("iec", "simulink")
+"""Bindings of earlier versions, which were not run in the tools that they were for."""
 
 
 def binding_files(names: Collection[str], machine: str) -> dict[str, str]:
     """Templates of the bindings asked for, by file name.
 
     Raises:
-        InputError: a binding that there is not, or a machine that it cannot name.
+        InputError: a binding that there is not.
     """
     for name in names:
         if name not in BINDINGS:
-            allowed = f"one of {', '.join(BINDINGS)}"
-            raise InputError("--bindings", "binding", name, allowed + did_you_mean(name, BINDINGS))
-    if "iec" in names and ("__" in machine or machine.endswith("_")):
-        allowed = "a name that has no two underscores in a row and none at its end, as IEC 61131-3 asks"
-        raise InputError("--bindings", "iec: name", machine, allowed)
+            hint = did_you_mean(name, BINDINGS)
+            if name in _NEVER_RUN:
+                hint = "; this one is gone, the package's C functions take its place"
+            raise InputError("--bindings", "binding", name, f"one of {', '.join(BINDINGS)}{hint}")
     asked = [BINDINGS[name] for name in BINDINGS if name in names]
     return {file.format(name=machine): template for files in asked for file, template in files.items()}
 
