@@ -25,7 +25,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.signals.columns import read_columns
 from sgms_mhe.signals.logs import COLUMNS, Log
 from sgms_mhe.support.errors import ImplausibleError, InputError
-from sgms_mhe.support.notebooks import html_table
+from sgms_mhe.support.notebooks import Presentation, Shown
 
 pytestmark = pytest.mark.core
 
@@ -290,7 +290,11 @@ def test_arrays_of_the_caller_stay_writeable(log: Log) -> None:
 
 
 def test_what_a_table_says_is_escaped() -> None:
-    html = html_table("<b>", ("a & b",), (("<i>",),))
+    class Table(Shown):
+        def _shown(self) -> Presentation:
+            return "<b>", ("a & b",), (("<i>",),)
+
+    html = Table()._repr_html_()
     assert all(escaped in html for escaped in ("&lt;b&gt;", "a &amp; b", "&lt;i&gt;"))
 
 

@@ -21,11 +21,11 @@ from cli_cases import done, refused
 from sgms_bench.studies.identification import identified_axis
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.identification import Wanted, final_fit, identify, interval
+from sgms_mhe.identification import Wanted, final_fit, identify
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis, stribeck_limits
 from sgms_mhe.identification.records import ElementMotion, filter_motion, make_records, sort_logs
-from sgms_mhe.identification.result import Number, round_number
+from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.sampling import common_rate, round_up
 from sgms_mhe.identification.search import ChosenModel, element_numbers, is_better
 from sgms_mhe.identification.spectrum import Spectrum, cluster
@@ -45,6 +45,7 @@ from sgms_mhe.signals.chain import Signals, apply_chain, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.signals.noise import encoder_step, position_noise
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.numbers import round_number
 
 Array = NDArray[np.float64]
 
@@ -400,8 +401,8 @@ def test_clusters_keep_the_level() -> None:
 
 
 def test_numbers_are_written_as_finely_as_they_are_known() -> None:
-    assert interval(Number("coulomb", 4.01234, 0.0062, True)) == "4.012 +- 0.012"
-    assert interval(Number("mass", 20.0, np.nan, True)) == "20"
+    assert Number("coulomb", 4.01234, 0.0062, True).interval == "4.012 +- 0.012"
+    assert Number("mass", 20.0, np.nan, True).interval == "20"
     assert abs(round_number(123456.789, 30.0) - 123456.789) < 0.1 * 30.0
     assert round_number(1.0 / 3.0, np.nan) == pytest.approx(1.0 / 3.0, rel=1e-11)
     assert round_up(0.0123) == 0.013

@@ -614,7 +614,7 @@ def test_a_rotary_axis_is_watched_in_its_own_units(tmp_path: Path) -> None:
     assert "residual_rms_Nm" in found
     result = done("watch", "etel_xy_rotary", axis, "--speed", "max", "--page", tmp_path / "p.html")
     assert " N m, test ratio" in result.stderr
-    assert "friction [N m]" in (tmp_path / "p.html").read_text()
+    assert "torque less inertia [N m]" in (tmp_path / "p.html").read_text()
 
 
 # --- the page ---------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.names import did_you_mean
+from sgms_mhe.support.notebooks import Presentation, Shown
 
 FORMS: Final[Mapping[str, Form]] = MappingProxyType(
     {
@@ -27,8 +28,8 @@ FORMS: Final[Mapping[str, Form]] = MappingProxyType(
 """Forms by name."""
 
 
-@dataclass(frozen=True)
-class ExportedAxis:
+@dataclass(frozen=True, repr=False)
+class ExportedAxis(Shown):
     """An axis in the form of another simulator.
 
     Attributes:
@@ -47,6 +48,9 @@ class ExportedAxis:
     lost: tuple[str, ...]
     error: FormError | None = None
     missing: str | None = None
+
+    def _shown(self) -> Presentation:
+        return f"{self.machine.name} as {self.form}, {len(self.content)} bytes", (), ()
 
     @property
     def text(self) -> str:

@@ -96,7 +96,7 @@ def _text(machine: Machine, package: Package) -> str:
         f"  noise       measurement {noise.measurement:g} {units.force}, state {noise.state:g} (as {noise.state_as}), "
         f"first state {noise.initial_state:g}, parameter {noise.parameter:g}, "
         f"drift {noise.parameter_drift:g} per update, {'scaled by innovations' if noise.self_scaling else 'as stated'}",
-        _indent(table_text(("parameter", "nominal", "prior std", "lower", "upper"), parameters)),
+        _indent(table_text(("parameter", "nominal", "prior, 1 sigma", "lower", "upper"), parameters)),
     ]
     fed = machine.compensation
     largest = force_limit(machine)

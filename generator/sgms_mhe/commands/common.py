@@ -8,7 +8,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -18,13 +18,14 @@ from click.shell_completion import CompletionItem
 
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.json_values import finite
+from sgms_mhe.support.numbers import interval
 from sgms_mhe.support.paths import machines_dir
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.progress import ProgressColumn
 
-    from sgms_mhe.machine import Machine
+    from sgms_mhe.machine import Machine, Units
     from sgms_mhe.signals.logs import Log
 
 Progress = Callable[[int, int], None]
@@ -221,6 +222,20 @@ def note_broken_effects() -> None:
 def json_text(content: Any) -> str:
     """JSON with every number that is not finite as null."""
     return json.dumps(finite(content), indent=2, allow_nan=False)
+
+
+def parameters_text(units: Units, parameters: Mapping[str, Mapping[str, float]]) -> str:
+    """A table of estimated parameters at the end: nominal, estimate and std of each."""
+    rows = [
+        (
+            units.named(name),
+            f"{p['nominal']:.6g}",
+            interval(p["estimate"], p["std"]),
+            f"{p['estimate'] / p['nominal']:.4f}" if p["nominal"] else "",
+        )
+        for name, p in parameters.items()
+    ]
+    return table_text(("parameter at the end", "nominal", "estimate +- 2 sigma", "ratio"), rows)
 
 
 def table_text(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

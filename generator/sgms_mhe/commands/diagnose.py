@@ -32,6 +32,7 @@ from sgms_mhe.commands.common import (
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.decisions import trace_decisions
 from sgms_mhe.support.errors import ImplausibleError, InputError
+from sgms_mhe.support.numbers import interval
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.result import Diagnosis
@@ -151,11 +152,6 @@ def _gain(gain: EstimatorGain) -> dict[str, object]:
     }
 
 
-def _interval(std: float) -> str:
-    """Two deviations of a number that was fitted; nothing of one that was chosen, as speeds of a curve are."""
-    return f" +- {2.0 * std:.1g}" if math.isfinite(std) else ""
-
-
 def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: EstimatorGain | None) -> str:
     lines = [f"{diagnosis.verdict}: {diagnosis.summary}"]
     if diagnosis.learned is not None:
@@ -163,7 +159,7 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
     units = diagnosis.machine.plant.units
     for cause in diagnosis.causes:
         values = ", ".join(
-            f"{units.named(name)} = {value:.4g}{_interval(cause.std.get(name, math.nan))}"
+            f"{units.named(name)} = {interval(value, cause.std.get(name, math.nan))}"
             for name, value in cause.parameters.items()
         )
         holds = {None: "", True: "; transfers", False: "; not of every record"}[cause.transfers]
@@ -175,7 +171,7 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
         if a.instead_of and a.rival
     ]
     lines += [
-        f"  refuted: {units.named(n.name)} = {n.file:.4g}, by the record {n.record:.4g} +- {2.0 * n.std:.1g}"
+        f"  refuted: {units.named(n.name)} = {n.file:.4g}, by the record {interval(n.record, n.std)}"
         for n in diagnosis.refuted
         if diagnosis.is_rough
     ]

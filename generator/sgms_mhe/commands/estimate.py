@@ -19,9 +19,9 @@ from sgms_mhe.commands.common import (
     make_folder,
     note,
     out_option,
+    parameters_text,
     progress_bar,
     show,
-    table_text,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.libraries import optional_library
@@ -105,6 +105,7 @@ def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
 def note_wrong_priors(machine: Machine, estimates: Estimates) -> None:
     """Say which parameters end farther from the machine file than the prior that it states of them allows."""
     from sgms_mhe.model import build_model
+    from sgms_mhe.support.numbers import interval
 
     model, units = build_model(machine), machine.plant.units
     for parameter, prior in zip(model.parameters, model.prior, strict=True):
@@ -114,7 +115,7 @@ def note_wrong_priors(machine: Machine, estimates: Estimates) -> None:
         off = abs(value - parameter.nominal) / stated
         if off > PRIOR_FITS:
             note(
-                f"{units.named(parameter.column)} ends at {value:.4g} +- {std:.2g}, {off:.1f} deviations of its prior "
+                f"{units.named(parameter.column)} ends at {interval(value, std)}, {off:.1f} deviations of its prior "
                 f"({stated:.3g}) from the file's {parameter.nominal:.4g}: the file is off, or the prior too narrow "
                 f"(estimator.prior, estimator.noise.parameter)"
             )
@@ -157,24 +158,12 @@ def summary_text(machine: Machine, summary: dict[str, Any]) -> str:
         if rms is None
         else f"measured minus estimated friction {rms:.4g} {units.force} rms"
     )
-    rows = [
-        (
-            units.named(name),
-            f"{p['nominal']:.6g}",
-            f"{p['estimate']:.6g}",
-            f"{p['std']:.2g}",
-            f"{p['estimate'] / p['nominal']:.4f}",
-        )
-        if p["nominal"]
-        else (units.named(name), "0", f"{p['estimate']:.6g}", f"{p['std']:.2g}", "")
-        for name, p in summary["parameters"].items()
-    ]
     counts = ", ".join(f"{count} {name}" for name, count in summary["status"].items() if count)
     return "\n".join(
         [
             f"{summary['machine']}, solver {summary['solver']}: {summary['updates']} updates from "
             f"{summary['start_s']:g} to {summary['end_s']:g} s, {summary['measured']} with a measurement; {residual}",
-            table_text(("parameter at the end", "nominal", "estimate", "std", "ratio"), rows),
+            parameters_text(units, summary["parameters"]),
             f"updates: {counts}",
         ]
     )

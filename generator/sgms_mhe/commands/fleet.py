@@ -20,6 +20,7 @@ from sgms_mhe.commands.common import (
     steps_bar,
 )
 from sgms_mhe.commands.log_options import log_options
+from sgms_mhe.support.numbers import interval
 from sgms_mhe.support.parallel import workers
 
 if TYPE_CHECKING:
@@ -91,16 +92,15 @@ def _text(fleet: Fleet, page: Path) -> str:
     cost = f", {sum(fresh) / len(fresh):.1f} s each" if fresh else ""
     lines = [f"failed: row {d.row.number}, {d.row.name}: {d.failure}" for d in fleet.failures]
     lines += [
-        f"left its band: {course.axis}, {course.name}, {point.row.name}: {point.number.value:.4g} +- "
-        f"{2.0 * point.number.std:.1g}, band {point.band.low:.4g} to {point.band.high:.4g} of "
+        f"left its band: {course.axis}, {course.name}, {point.row.name}: "
+        f"{interval(point.number.value, point.number.std)}, band {point.band.low:.4g} to {point.band.high:.4g} of "
         f"{point.band.count} {'earlier logs' if point.band.origin == 'own' else 'other axes'}"
         for course in fleet.courses
         for point in course.points
         if point.band is not None and point.left
     ]
     lines += [
-        f"moves steadily: {course.axis}, {course.name}: {trend.change:+.4g} +- {2.0 * trend.std:.1g} over "
-        f"{trend.days:.0f} days"
+        f"moves steadily: {course.axis}, {course.name}: {interval(trend.change, trend.std)} over {trend.days:.0f} days"
         for course in fleet.courses
         if (trend := course.trend) is not None
     ]

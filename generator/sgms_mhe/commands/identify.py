@@ -106,14 +106,12 @@ def command(
 
 
 def _text(found: Identification, residuals: Sequence[MachineResidual], names: Sequence[str], out: Path) -> str:
-    from sgms_mhe.identification import interval
-
     units = found.machine.plant.units
     rows = [
-        [units.named(n.name), interval(n), n.note or ("" if n.determined else "not determined")] for n in found.numbers
+        [units.named(n.name), n.interval, n.note or ("" if n.determined else "not determined")] for n in found.numbers
     ]
     lines = [
-        table_text(["number", "value", ""], rows),
+        table_text(["number", "value +- 2 sigma", ""], rows),
         f"law: {found.law}{'' if found.law_decided else ' (default)'}",
         f"held-out residual: {found.held_out_rms_N:.3g} {units.force} of {found.friction_rms_N:.3g} {units.force} rms; "
         f"noise floor {found.noise_floor_N:.3g} {units.force}",

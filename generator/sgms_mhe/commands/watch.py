@@ -24,6 +24,7 @@ from sgms_mhe.commands.common import (
     machine_argument,
     note,
     out_option,
+    parameters_text,
     show,
     table_text,
 )
@@ -245,16 +246,6 @@ def _text(machine: Machine, summary: dict[str, Any]) -> str:
         if rms is None
         else f"measured minus estimated friction {rms:.4g} {units.force} rms"
     )
-    parameters = [
-        (
-            units.named(name),
-            f"{p['nominal']:.6g}",
-            f"{p['estimate']:.6g}",
-            f"{2.0 * p['std']:.2g}",
-            f"{p['estimate'] / p['nominal']:.4f}" if p["nominal"] else "",
-        )
-        for name, p in summary["parameters"].items()
-    ]
     length = summary["status_s"]
     states = [(WORDS[name], f"{length[name]:.2f} s", str(summary["status"][name])) for name in WORDS if length[name]]
     episodes = [
@@ -268,7 +259,7 @@ def _text(machine: Machine, summary: dict[str, Any]) -> str:
             f"{summary['machine']}, {summary['log']}: ended, {summary['ended']}",
             f"{summary['samples']} samples, {summary['missing_samples']} missing; {summary['updates']} updates from "
             f"{summary['start_s']:g} to {summary['end_s']:g} s, {summary['measured']} with a measurement; {residual}",
-            table_text(("parameter at the end", "nominal", "estimate", "+- 2 sigma", "ratio"), parameters),
+            parameters_text(units, summary["parameters"]),
             table_text(("status", "time", "updates"), states),
             f"greatest test ratio {greatest['value']:.4g} at {greatest['time_s']:.2f} s",
             *(["faults seen:", *episodes] if episodes else ["faults seen: none"]),

@@ -15,6 +15,7 @@ from sgms_mhe.report import Watched, write_watch_page
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
+from sgms_mhe.support.numbers import interval
 
 PAGE_S: Final = 2.0
 """Between two pages."""
@@ -35,7 +36,7 @@ class WatchLines:
         time, units = float(last.time_s[0]), course.machine.plant.units
         self._due = (time // self._every_s + 1.0) * self._every_s
         parameters = [
-            f"{units.named(name)} {value:.5g} +- {2.0 * std:.2g}"
+            f"{units.named(name)} {interval(value, std)}"
             for name, value, std in zip(course.names, last.parameters[0], last.std[0], strict=True)
         ]
         friction = f"friction {float(last.friction_N[0]):.4g} {units.force}"

@@ -17,6 +17,7 @@ from sgms_mhe.diagnosis.uncertainty import correlate, covariance, standard_devia
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import CONFIDENCE
 from sgms_mhe.support.decisions import log_decision
+from sgms_mhe.support.numbers import interval
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class KnownCombination:
         first, second = (f"{label}.{name}" for label, name in zip(self.causes, self.parameters, strict=True))
         return (
             f"{self.causes[0]} and {self.causes[1]}: the record tells {first} {self.weight:+.4g} {second} = "
-            f"{self.value:.4g} +- {2.0 * self.std:.1g} alone, neither of the two by itself"
+            f"{interval(self.value, self.std)} alone, neither of the two by itself"
         )
 
 

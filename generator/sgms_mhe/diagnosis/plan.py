@@ -16,15 +16,19 @@ from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.names import did_you_mean
+from sgms_mhe.support.notebooks import Presentation, Shown
 
 
-@dataclass(frozen=True)
-class MotionPlan:
+@dataclass(frozen=True, repr=False)
+class MotionPlan(Shown):
     """A trajectory and what it is for."""
 
     trajectory: Trajectory
     reason: str
     moves: tuple[str, ...]
+
+    def _shown(self) -> Presentation:
+        return f"{self.trajectory.name}, {self.trajectory.duration_s:.3g} s: {self.reason}", (), ()
 
 
 @dataclass(frozen=True)

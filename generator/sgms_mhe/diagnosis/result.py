@@ -21,7 +21,8 @@ from sgms_mhe.diagnosis.structure import ResidualStructure
 from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.libraries import data_frame
-from sgms_mhe.support.notebooks import html_table, labelled_axes
+from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
+from sgms_mhe.support.numbers import interval
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -220,8 +221,8 @@ class Limit:
     number: str | None = None
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Shown):
     """Verdict, causes and evidence. Parameters and numbers have a linear axis's names; files have those of the axis.
 
     Attributes:
@@ -422,14 +423,14 @@ class Diagnosis:
         axes.legend()
         return axes
 
-    def _repr_html_(self) -> str:
+    def _shown(self) -> Presentation:
         named = self.machine.plant.units.named
         rows = [
-            (cause.name, named(name), f"{value:.5g}", f"{cause.std.get(name, math.nan):.2g}")
+            (cause.name, named(name), interval(value, cause.std.get(name, math.nan)))
             for cause in self.causes
             for name, value in cause.parameters.items()
         ]
-        return html_table(f"{self.verdict}: {self.summary}", ("cause", "parameter", "value", "one sigma"), rows)
+        return f"{self.verdict}: {self.summary}", ("cause", "parameter", "value +- 2 sigma"), rows
 
     def to_json(self) -> dict[str, Any]:
         """Content of diagnosis.json; what is not finite becomes null."""

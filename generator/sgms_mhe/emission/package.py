@@ -16,6 +16,7 @@ from sgms_mhe.emission.structure import analyse, report
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.notebooks import Presentation, Shown
 from sgms_mhe.support.paths import runtime_dir
 
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
@@ -23,14 +24,17 @@ FLOW_HEADER = "sgms_flow.h"
 TABLE_HEADER = "sgms_table.h"
 
 
-@dataclass(frozen=True)
-class Package:
+@dataclass(frozen=True, repr=False)
+class Package(Shown):
     """Emitted files by name: text, and archives of bindings; with what is missing of the latter, in sentences."""
 
     machine: Machine
     files: Mapping[str, str]
     archives: Mapping[str, bytes] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
+
+    def _shown(self) -> Presentation:
+        return f"{self.machine.name}, {len(self.files) + len(self.archives)} files", (), ()
 
 
 def emit_package(

@@ -21,6 +21,7 @@ from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, REFUSED, has_measurement, select_flags
 from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.libraries import optional_library
+from sgms_mhe.support.numbers import SIGMAS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,13 +33,14 @@ WIDTH_IN = 9.0
 
 def friction_figure(estimates: Estimates, title: str) -> Figure:
     """Friction measured and estimated, their difference, and the status of every update."""
-    figure, unit = blank_figure(6.6), OF_KIND[estimates.kind].force
+    figure, units = blank_figure(6.6), OF_KIND[estimates.kind]
+    unit = units.force
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(4, 2, 1.6))
     counted = has_measurement(estimates.status)
     taken = np.where(counted, estimates.friction_measured_N, np.nan)
     axes[0].plot(estimates.time_s, taken, color=MEASURED, linewidth=1.6, label="measured")
     axes[0].plot(estimates.time_s, estimates.friction_N, color=ESTIMATED, linewidth=0.9, label="estimated")
-    axes[0].set_ylabel(f"friction [{unit}]")
+    axes[0].set_ylabel(units.balance)
     _head(axes[0], title, columns=2)
     difference = taken - estimates.friction_N
     axes[1].plot(estimates.time_s, difference, color=ESTIMATED, linewidth=0.7)
@@ -58,9 +60,8 @@ def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], 
     axes = figure.subplots(len(parameters), 1, sharex=True, squeeze=False)[:, 0]
     units = OF_KIND[estimates.kind]
     for axis, parameter, value, std in zip(axes, parameters, estimates.parameters.T, estimates.std.T, strict=True):
-        axis.fill_between(
-            estimates.time_s, value - 2 * std, value + 2 * std, color=BAND, linewidth=0, label="$\\pm 2\\sigma$"
-        )
+        low, high = value - SIGMAS * std, value + SIGMAS * std
+        axis.fill_between(estimates.time_s, low, high, color=BAND, linewidth=0, label="$\\pm 2\\sigma$")
         axis.plot(estimates.time_s, value, color=ESTIMATED, linewidth=1.2, label="estimate")
         axis.axhline(parameter.nominal, color=NOMINAL, linewidth=1.0, linestyle="--", label="nominal")
         # An effect's parameter has its unit in its name.

@@ -19,7 +19,7 @@ from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.signals.logs import Log, align_velocity
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import data_frame
-from sgms_mhe.support.notebooks import html_table, labelled_axes
+from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 
 Array = NDArray[np.float64]
 
@@ -27,8 +27,8 @@ MOST_DECIMATION: Final = 100
 _FILTER_LENGTH: Final = 10  # rows behind the decimation: a stretch that is shorter says nothing there
 
 
-@dataclass(frozen=True)
-class PredictedFriction:
+@dataclass(frozen=True, repr=False)
+class PredictedFriction(Shown):
     """Friction at the samples of a log, without any estimation; arrays (n).
 
     time [s]; measured [N], NaN where it is no measurement; friction [N] of the model at the machine file's parameters,
@@ -59,18 +59,18 @@ class PredictedFriction:
 
     def plot(self, axes: Any | None = None) -> Any:
         """Draw friction measured and simulated over time; return the matplotlib axes, those given or new ones."""
-        axes = labelled_axes(axes, "time [s]", f"friction [{OF_KIND[self.kind].force}]")
+        axes = labelled_axes(axes, "time [s]", OF_KIND[self.kind].balance)
         axes.plot(self.time_s, self.friction_measured_N, linewidth=0.6, color="0.6", label="measured")
         axes.plot(self.time_s, self.friction_N, linewidth=1.0, label="simulated")
         axes.legend()
         return axes
 
-    def _repr_html_(self) -> str:
+    def _shown(self) -> Presentation:
         rest = self.friction_measured_N - self.friction_N
         rms, unit = float(np.sqrt(np.nanmean(rest**2))), OF_KIND[self.kind].force
         size = float(np.nanstd(self.friction_measured_N))
         title = f"{self.source or 'log'}: measured minus simulated friction {rms:.4g} {unit} rms, of {size:.4g} {unit}"
-        return html_table(title, (), ())
+        return title, (), ()
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.innovations import LEAST_UPDATES, Mask, innovation_loss, moving_updates
 from sgms_mhe.signals.logs import Log, align_velocity
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.notebooks import Presentation, Shown
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -76,8 +77,8 @@ class Trial:
         return float(gain.mean()) / max(error, 1e-300)
 
 
-@dataclass(frozen=True)
-class Tuned:
+@dataclass(frozen=True, repr=False)
+class Tuned(Shown):
     """Weights that suit a log.
 
     Attributes:
@@ -95,6 +96,9 @@ class Tuned:
     horizon: int | None
     trials: Mapping[str, tuple[tuple[float, Trial], ...]]
     kept: tuple[str, ...]
+
+    def _shown(self) -> Presentation:
+        return f"{self.machine.name}: {self.changes() or 'no other weights'}", (), ()
 
     @property
     def crowded(self) -> bool:

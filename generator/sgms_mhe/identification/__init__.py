@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from sgms_mhe.identification.identify import Wanted, identify
-from sgms_mhe.identification.result import Identification, Number, interval
+from sgms_mhe.identification.result import Identification, Number
 
-__all__ = ["Identification", "Number", "Wanted", "identify", "interval"]
+__all__ = ["Identification", "Number", "Wanted", "identify"]

@@ -26,6 +26,7 @@ from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition, separating_moves
 from sgms_mhe.recordings.excitation import find_speeds_apart
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.numbers import interval
 
 KNOWN: Final = 0.25
 """Deviation over value up to which a number counts as determined."""
@@ -225,11 +226,11 @@ def mass_number(
         sentence = f"{inert}: as given, the motion does not show it. Needed: {MOVES['jerks']} (sgms-mhe plan)"
         return Number("mass", adopted, math.nan, False, "as given; the motion does not show it"), (sentence,)
     if adopted == given:
-        shown = f"as given; the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g}"
+        shown = f"as given; the motion shows {interval(seen.value, seen.std)}"
         return Number("mass", given, math.nan, True, shown), ()
     ratio = adopted / given
     sentence = (
-        f"{inert}: {given:g} {unit} was given, and the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g} {unit}. "
+        f"{inert}: {given:g} {unit} was given, and the motion shows {interval(seen.value, seen.std)} {unit}. "
         f"Either the {inert} is that, or the logged {units.push} is {ratio:.4g} times the real one: then scale it in "
         f"[log] and identify again. The file has the {inert} that goes with the {units.push} as logged"
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +12,8 @@ from sgms_mhe.identification.elements import Law
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.json_values import finite
 from sgms_mhe.support.libraries import data_frame
-from sgms_mhe.support.notebooks import html_table, labelled_axes
+from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
+from sgms_mhe.support.numbers import interval
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,14 @@ class Number:
     determined: bool
     note: str = ""
 
+    @property
+    def interval(self) -> str:
+        """The value with two standard deviations, for people."""
+        return interval(self.value, self.std)
 
-@dataclass(frozen=True)
-class Identification:
+
+@dataclass(frozen=True, repr=False)
+class Identification(Shown):
     """A machine from measurements alone.
 
     Attributes:
@@ -99,14 +104,14 @@ class Identification:
         axes.plot(way, np.minimum(way[:, None] * stiffness, levels).sum(axis=1), marker=".")
         return axes
 
-    def _repr_html_(self) -> str:
+    def _shown(self) -> Presentation:
         names, units = self.machine.plant.units.named, self.machine.plant.units
-        rows = [(names(number.name), interval(number), number.note) for number in self.numbers]
+        rows = [(names(number.name), number.interval, number.note) for number in self.numbers]
         title = (
             f"{self.machine.name}: {self.held_out_rms_N:.3g} {units.force} left on data that no fit has seen, noise "
             f"{self.noise_floor_N:.3g} {units.force}"
         )
-        return html_table(title, ("number", "two sigmas", ""), rows)
+        return title, ("number", "value +- 2 sigma", ""), rows
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; None where a number has no deviation."""
@@ -139,28 +144,3 @@ class Identification:
         }
         keyed: dict[str, Any] = finite(units.keyed(content))
         return keyed
-
-
-def interval(number: Number, digits: int = 2) -> str:
-    """A number with two standard deviations: `4.012 +- 0.015`."""
-    if not math.isfinite(number.std) or number.std <= 0.0:
-        return f"{number.value:.6g}"
-    wide = 2.0 * number.std
-    place = digits - 1 - math.floor(math.log10(wide))
-    if abs(number.value) < 1e4 and 0 <= place <= 6:
-        return f"{number.value:.{place}f} +- {wide:.{place}f}"
-    return f"{number.value:.{_significant(number.value, wide)}g} +- {wide:.{digits}g}"
-
-
-def round_number(value: float, std: float) -> float:
-    """A value with as many digits as its deviation has meaning, two more for safety; at most twelve."""
-    if value == 0.0 or not math.isfinite(std) or std <= 0.0:
-        return float(f"{value:.12g}")
-    return float(f"{value:.{min(12, _significant(value, std) + 1)}g}")
-
-
-def _significant(value: float, std: float) -> int:
-    """Digits of a value down to the second one of its deviation."""
-    if value == 0.0:
-        return 2
-    return max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 2)

@@ -13,10 +13,11 @@ from typing import Any, Final
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.identification.description import STAND_IN
 from sgms_mhe.identification.elements import Law
-from sgms_mhe.identification.result import Number, interval, round_number
+from sgms_mhe.identification.result import Number
 from sgms_mhe.machine import Machine, Units, plant_content
 from sgms_mhe.machine.writing import notes_of_table, toml_line, toml_table, toml_tables
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.support.numbers import round_number
 
 COLUMNS: Final = 100
 ELEMENTS: Final = ("stiffness_", "fraction_")
@@ -119,7 +120,7 @@ def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
     }
     notes: dict[str, str] = {}
     for number in numbers:
-        said = number.note if not math.isfinite(number.std) else interval(number)
+        said = number.note if not math.isfinite(number.std) else number.interval
         if math.isfinite(number.std) and number.note:
             said += f", {number.note}"
         if "." in number.name:
@@ -142,7 +143,7 @@ def _elements(units: Units, numbers: Sequence[Number]) -> list[str]:
     while f"stiffness_{k}" in by_name:
         stiffness, share = by_name[f"stiffness_{k}"], by_name[f"fraction_{k}"]
         open_ = "" if stiffness.determined and share.determined else f"; {STAND_IN}"
-        lines.append(f"# element {k}: {interval(stiffness)} {units.stiffness}, share {interval(share)}{open_}")
+        lines.append(f"# element {k}: {stiffness.interval} {units.stiffness}, share {share.interval}{open_}")
         k += 1
     return lines
 
@@ -154,7 +155,7 @@ def _lists(units: Units, effect: str, numbers: Sequence[Number]) -> list[str]:
     for parameter in effect_definition(effect).parameters:
         entries = [n for n in own if parameter.array and parameter.holds(n.name.removeprefix(f"{effect}."))]
         if entries:
-            said = [interval(n) + ("" if n.determined else f" ({STAND_IN})") for n in entries]
+            said = [n.interval + ("" if n.determined else f" ({STAND_IN})") for n in entries]
             lines += wrap_comment(f"{units.named(parameter.name)}: {', '.join(said)}")
     return lines
 

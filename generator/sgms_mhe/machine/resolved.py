@@ -16,6 +16,7 @@ from sgms_mhe.machine.estimator import Disturbance, Estimator
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import Sampling
 from sgms_mhe.machine.units import Units
+from sgms_mhe.support.notebooks import Presentation, Shown
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ def estimable_names(effects: Sequence[ResolvedEffect]) -> tuple[str, ...]:
     return BASE_PARAMETERS + tuple(f"{effect.label}.{key}" for effect in effects for key in effect.parameters)
 
 
-@dataclass(frozen=True)
-class Machine:
+@dataclass(frozen=True, repr=False)
+class Machine(Shown):
     """A machine file, resolved and checked; made by `sgms_mhe.configuration` alone.
 
     Attributes:
@@ -68,6 +69,9 @@ class Machine:
     log: LogMapping | None
     source: Path
     content: Mapping[str, Any]
+
+    def _shown(self) -> Presentation:
+        return f"{self.name}: {self.plant.kind}, {self.friction.n_z} friction elements, from {self.source}", (), ()
 
     @property
     def digest(self) -> str:

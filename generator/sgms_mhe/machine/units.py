@@ -105,6 +105,11 @@ class Units:
     metres: str
     pico: str
 
+    @property
+    def balance(self) -> str:
+        """Label of what estimates call friction: it holds every force of the axis but that of inertia, gravity too."""
+        return f"{self.push} less inertia [{self.force}]"
+
     def named(self, name: str) -> str:
         """A name (`pitch_m`, `force_ripple.amplitude_N`, `stiffness_2`) as this kind of axis has it."""
         if self.kind == "linear":

@@ -31,6 +31,7 @@ from sgms_mhe.plant.native import (
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.notebooks import Presentation, Shown
 
 Array = NDArray[np.float64]
 Drift = Callable[[float], float]
@@ -59,13 +60,16 @@ class Truth:
     deflection_m: Array
 
 
-@dataclass(frozen=True)
-class SimulatedRun:
+@dataclass(frozen=True, repr=False)
+class SimulatedRun(Shown):
     """A simulated log, the mass [kg] of the machine file, the truth behind the log (None where not asked for)."""
 
     log: Log
     mass: float
     truth: Truth | None = None
+
+    def _shown(self) -> Presentation:
+        return self.log._shown()[0], (), ()
 
     def ideal_log(self) -> Log:
         """The log with true motion: its columns of velocity and friction bypass the signal chain.

@@ -30,6 +30,7 @@ from sgms_mhe.report.words import (
     sentence,
     title,
 )
+from sgms_mhe.support.numbers import SIGMAS
 
 SIGNIFICANT: Final = 0.01
 ENCODER_SHARE: Final = 0.25  # of a dependence, from which it is worth a word
@@ -446,8 +447,8 @@ def _estimator(gain: EstimatorGain) -> dict[str, Any]:
         "parameters": [
             {
                 "name": axis_units().named(p.name),
-                "before": f"± {percent(p.wander)}",
-                "after": f"± {percent(after[p.name].wander)}",
+                "before": f"± {percent(SIGMAS * p.wander)}",
+                "after": f"± {percent(SIGMAS * after[p.name].wander)}",
             }
             for p in gain.base.parameters
             if p.name in after

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from html import escape
 from typing import Final, Literal
 
+from sgms_mhe.support.numbers import SIGMAS
+
 WIDTH, HEIGHT = 340.0, 150.0
 LEFT, RIGHT, TOP, BOTTOM = 80.0, 4.0, 6.0, 20.0
-INTERVAL: Final = 2.0
-"""Standard deviations on either side."""
 LONGEST_LABEL: Final = 18
 """Characters."""
 MOST_BAND: Final = 1.5
@@ -79,8 +79,8 @@ def drawn(
 
 
 def _range(marks: Sequence[Mark], nominal: float) -> tuple[float, float]:
-    low = min(mark.value - INTERVAL * mark.std for mark in marks)
-    high = max(mark.value + INTERVAL * mark.std for mark in marks)
+    low = min(mark.value - SIGMAS * mark.std for mark in marks)
+    high = max(mark.value + SIGMAS * mark.std for mark in marks)
     span = high - low or abs(high) or 1.0
     bands = [mark.band for mark in marks if mark.band is not None]
     least, most = low - MOST_BAND * span, high + MOST_BAND * span
@@ -123,7 +123,7 @@ def _bands(
 
 def _dot(mark: Mark, x: float, y: Callable[[float], float]) -> str:
     kind = "dot left" if mark.left else "dot"
-    reach = INTERVAL * mark.std
+    reach = SIGMAS * mark.std
     ends = f'y1="{y(mark.value + reach):.1f}" y2="{y(mark.value - reach):.1f}"'
     text = ""
     if mark.left and mark.label:

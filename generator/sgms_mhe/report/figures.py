@@ -42,7 +42,7 @@ def measured_figure(diagnosis: Diagnosis) -> Figure:
     for axis in (top, bottom):
         axis.margins(x=0)
         axis.broken_barh(kept, (0.0, 1.0), transform=axis.get_xaxis_transform(), color=HELD_OUT, linewidth=0, zorder=0)
-    top.set_ylabel(f"friction [{axis_units().force}]")
+    top.set_ylabel(axis_units().balance)
     bottom.set_ylabel(f"measured -\nsimulated [{axis_units().force}]")
     bottom.set_xlabel("time [s]; shaded: kept from the fit")
     top.set_title(diagnosis.machine.name, loc="left")

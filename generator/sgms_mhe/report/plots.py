@@ -44,7 +44,7 @@ def plots(diagnosis: Diagnosis, views: Sequence[View], rivals: Sequence[InPlace]
     content: dict[str, Any] = {
         "friction": common
         | {
-            "yLabel": f"friction [{unit}]",
+            "yLabel": axis_units().balance,
             "series": [line("measured", _mask(t, t.friction_N), "measured", 1.8), *simulated],
         },
         "residual": common | {"yLabel": f"residual [{unit}]", "zero": True, "series": residuals},

@@ -12,6 +12,7 @@ from typing import Final
 from sgms_mhe.machine import LINEAR, Units
 from sgms_mhe.machine.units import is_ratio, suffix_of
 from sgms_mhe.model.effects import base_number
+from sgms_mhe.support.numbers import SIGMAS
 
 _PREFIXES: Final = {
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm")),
@@ -25,8 +26,6 @@ _PREFIXES: Final = {
 }
 _FORCES: Final = ("N", "N m")
 _axis: ContextVar[Units] = ContextVar("axis", default=LINEAR)
-COVERAGE: Final = 1.96
-"""Standard deviations on either side that 95 % lie within."""
 _RAISED: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS: Final = "\N{MINUS SIGN}"
 SPACE: Final = "\N{NO-BREAK SPACE}"
@@ -55,7 +54,7 @@ def force_suffix() -> str:
 
 @dataclass(frozen=True)
 class PrintedValue:
-    """A quantity ready to print: `value`, `spread` (half of its 95 % interval, empty where unknown) and `unit`."""
+    """A quantity ready to print: `value`, `spread` (two standard deviations, empty where unknown) and `unit`."""
 
     value: str
     spread: str
@@ -76,17 +75,17 @@ def split_name(name: str) -> tuple[str, str]:
 
 
 def quantity(name: str, value: float, std: float = math.nan) -> PrintedValue:
-    """A parameter's value with its 95 % interval, in the unit that its name ends in."""
+    """A parameter's value with two standard deviations, in the unit that its name ends in."""
     _, unit = split_name(name)
     return reading(value, unit, std)
 
 
 def reading(value: float, unit: str, std: float = math.nan) -> PrintedValue:
-    """A value in SI (a ratio in units of one) with its 95 % interval."""
+    """A value in SI (a ratio in units of one) with two standard deviations."""
     if not math.isfinite(value):
         return PrintedValue("–", "", "")
-    factor, shown = scaled_unit(value if value != 0.0 else COVERAGE * std, unit)
-    number, spread = value / factor, COVERAGE * std / factor
+    factor, shown = scaled_unit(value if value != 0.0 else SIGMAS * std, unit)
+    number, spread = value / factor, SIGMAS * std / factor
     if not math.isfinite(spread) or spread <= 0.0:
         return PrintedValue(plain(number), "", shown)
     # Two digits of the spread, but no more than six of the value.

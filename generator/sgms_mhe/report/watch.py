@@ -13,8 +13,9 @@ from sgms_mhe import __version__
 from sgms_mhe.evaluation.watching import WORDS, RunSummary, flags_of, status_words
 from sgms_mhe.report.plots import line, uniform
 from sgms_mhe.report.series import runs
-from sgms_mhe.report.units import COVERAGE, PrintedValue, axis_units, force, plain, quantity, scaled_unit, split_name
+from sgms_mhe.report.units import axis_units, force, plain, quantity, scaled_unit, split_name
 from sgms_mhe.report.words import base_words, capital, relative_change
+from sgms_mhe.support.numbers import SIGMAS
 
 Array = NDArray[np.float64]
 
@@ -44,11 +45,6 @@ class Watched:
     source: str
     ended: str
     remarks: tuple[str, ...] = ()
-
-
-def interval_text(name: str, value: float, std: float) -> PrintedValue:
-    """A parameter's value with its two standard deviations."""
-    return quantity(name, value, 2.0 * std / COVERAGE)
 
 
 def seconds(time: float) -> str:
@@ -114,7 +110,7 @@ def watch_plots(course: RunSummary) -> dict[str, Any]:
     drawn: dict[str, Any] = {
         "friction": newest
         | {
-            "yLabel": f"friction [{unit}]",
+            "yLabel": axis_units().balance,
             "zero": True,
             "series": [line("measured", recent[:, 1], "before", 4.5), line("estimated", recent[:, 2], "after", 1.6)],
         },
@@ -137,10 +133,10 @@ def watch_plots(course: RunSummary) -> dict[str, Any]:
     for k, name in enumerate(course.names):
         nominal = float(course.nominal[k])
         factor, shown = scaled_unit(nominal, split_name(name)[1])
-        value, reach = points[:, k] / factor, 2.0 * points[:, n_p + k] / factor
+        value, reach = points[:, k] / factor, SIGMAS * points[:, n_p + k] / factor
         if course.latest is not None:
             # Bounds of the beginning, as wide as the prior's, would leave no room for anything else.
-            reach[reach > WIDEST * 2.0 * course.latest.std[0, k] / factor] = np.nan
+            reach[reach > WIDEST * SIGMAS * course.latest.std[0, k] / factor] = np.nan
         drawn[f"parameter_{k}"] = whole | {
             "unit": shown,
             "yLabel": f"[{shown}]" if shown else "",
@@ -209,11 +205,11 @@ def _parameters(course: RunSummary) -> list[dict[str, str]]:
         {
             "words": capital(base_words(name)),
             "name": axis_units().named(name),
-            "value": str(interval_text(name, value, std)),
+            "value": str(quantity(name, value, std)),
             "nominal": str(quantity(name, nominal)),
             "change": relative_change(nominal, value),
             "plot": f"parameter_{k}",
-            "title": f"{capital(base_words(name))}: {interval_text(name, value, std)}",
+            "title": f"{capital(base_words(name))}: {quantity(name, value, std)}",
         }
         for k, (name, nominal, value, std) in enumerate(rows)
     ]

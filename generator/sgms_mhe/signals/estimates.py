@@ -14,7 +14,8 @@ from sgms_mhe.machine import LINEAR, OF_KIND, ROTARY, Kind
 from sgms_mhe.signals.columns import read_columns, write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import data_frame
-from sgms_mhe.support.notebooks import html_table, labelled_axes
+from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
+from sgms_mhe.support.numbers import SIGMAS, interval
 
 Array = NDArray[np.float64]
 
@@ -23,8 +24,8 @@ READING_COLUMNS: Final = ("innovation_N", "test_ratio", "noise_scale")
 """Of the newest measurement; files that were written without them read as NaN."""
 
 
-@dataclass(frozen=True)
-class Estimates:
+@dataclass(frozen=True, repr=False)
+class Estimates(Shown):
     """One row per update; u updates, n_z elements, n_p estimated parameters, all in SI units.
 
     time_s, friction_measured_N, friction_N (u,); z_m (u, n_z); parameters, std (u, n_p); status (u,) int; of the newest
@@ -87,12 +88,12 @@ class Estimates:
         """
         units = OF_KIND[self.kind]
         if name is None:
-            axes = labelled_axes(axes, "time [s]", f"friction [{units.force}]")
+            axes = labelled_axes(axes, "time [s]", units.balance)
             axes.plot(self.time_s, self.friction_measured_N, linewidth=0.6, color="0.6", label="measured")
             axes.plot(self.time_s, self.friction_N, linewidth=1.0, label="estimated")
         elif name in self.parameter_names:
             k = self.parameter_names.index(name)
-            value, wide = self.parameters[:, k], 2.0 * self.std[:, k]
+            value, wide = self.parameters[:, k], SIGMAS * self.std[:, k]
             axes = labelled_axes(axes, "time [s]", name)
             axes.fill_between(self.time_s, value - wide, value + wide, alpha=0.25, label="two standard deviations")
             axes.plot(self.time_s, value, linewidth=1.0, label="estimated")
@@ -101,14 +102,14 @@ class Estimates:
         axes.legend()
         return axes
 
-    def _repr_html_(self) -> str:
+    def _shown(self) -> Presentation:
         units = OF_KIND[self.kind]
         rows = [
-            (name, f"{value:.6g}", f"{std:.2g}")
+            (name, interval(value, std))
             for name, value, std in zip(self.parameter_names, self.parameters[-1], self.std[-1], strict=True)
         ]
         title = f"{len(self)} updates; the last: friction {self.friction_N[-1]:.4g} {units.force}"
-        return html_table(title, ("parameter", "value", "one sigma"), rows)
+        return title, ("parameter", "value +- 2 sigma"), rows
 
 
 def write_estimates(path: str | Path, estimates: Estimates) -> None:

@@ -15,7 +15,7 @@ from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.libraries import data_frame
-from sgms_mhe.support.notebooks import html_table, labelled_axes
+from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 
 Array = NDArray[np.float64]
 
@@ -26,8 +26,8 @@ JITTER: Final = 0.01
 """Largest deviation of a time step, and of the log's rate from the machine's, as a fraction."""
 
 
-@dataclass(frozen=True)
-class Log:
+@dataclass(frozen=True, repr=False)
+class Log(Shown):
     """A log in SI units; all arrays (n,), NaN where a sample is missing (never in time_s).
 
     Of a rotary axis `position_m` is its angle [rad], `force_N` the torque [N m], and so on: `kind` says which it is.
@@ -77,11 +77,11 @@ class Log:
         axes.plot(self.time_s, self.force_N, linewidth=0.8, label=push)
         return axes
 
-    def _repr_html_(self) -> str:
+    def _shown(self) -> Presentation:
         columns = self.units.keyed(self.columns)
         rows = [(name, f"{np.nanmin(v):.6g}", f"{np.nanmax(v):.6g}", np.isnan(v).sum()) for name, v in columns.items()]
         title = f"{self.source or 'log'}: {len(self)} samples at {self.rate:.6g} Hz"
-        return html_table(title, ("column", "least", "largest", "missing"), rows)
+        return title, ("column", "least", "largest", "missing"), rows
 
     def part(self, start_s: float = 0.0, end_s: float = math.inf) -> Log:
         """The rows from `start_s` to `end_s` [s since the first sample] as a log of its own.

@@ -1,8 +1,8 @@
-"""Results in a notebook: a table as HTML, axes to draw on, arrays that nobody changes by mistake."""
+"""Results at a prompt and in a notebook: a sentence, a table, axes to draw on, arrays that nobody changes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
 from typing import Any, TypeVar
@@ -12,17 +12,27 @@ import numpy as np
 from sgms_mhe.support.libraries import optional_library
 
 Result = TypeVar("Result")
+Presentation = tuple[str, Sequence[str], Sequence[Sequence[object]]]
+"""Sentence, and head and rows of the table below it; no rows: there is none."""
 
 
-def html_table(title: str, head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table as HTML, everything in it escaped."""
-    top = "".join(f"<th>{escape(name)}</th>" for name in head)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(str(value))}</td>' for value in row)}</tr>" for row in rows)
-    return (
-        f"<table><caption>{escape(title)}</caption><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
-        if body
-        else f"<p>{escape(title)}</p>"
-    )
+class Shown:
+    """A result as a prompt shows it, by a sentence, and a notebook, with a table below it."""
+
+    def _shown(self) -> Presentation:
+        """Return the sentence, and head and rows of the table."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self._shown()[0]}>"
+
+    def _repr_html_(self) -> str:
+        title, head, rows = self._shown()
+        top = "".join(f"<th>{escape(name)}</th>" for name in head)
+        body = "".join(f"<tr>{''.join(f'<td>{escape(str(value))}</td>' for value in row)}</tr>" for row in rows)
+        if not body:
+            return f"<p>{escape(title)}</p>"
+        return f"<table><caption>{escape(title)}</caption><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def labelled_axes(axes: Any | None, horizontal: str, vertical: str) -> Any:

@@ -24,6 +24,7 @@ from scipy.stats import t as student
 
 from sgms_mhe.api.fleet.table import Row
 from sgms_mhe.api.fleet.work import FleetNumber, Result
+from sgms_mhe.support.numbers import SIGMAS
 
 LEVEL: Final = 0.99
 """Share of the logs of an unchanged axis that lie within a band."""
@@ -35,8 +36,6 @@ LEAST_FLEET: Final = 5
 DAY_S: Final = 86_400.0
 _TO_DEVIATION: Final = 1.4826
 """Standard deviation over median absolute deviation, of a Gaussian."""
-INTERVAL: Final = 2.0
-"""Standard deviations on either side that a log's own interval has."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class BandPoint:
     @property
     def left(self) -> bool:
         """Return True if its interval lies outside of the band as a whole."""
-        reach = INTERVAL * self.number.std
+        reach = SIGMAS * self.number.std
         return self.band is not None and not (
             self.number.value - reach <= self.band.high and self.number.value + reach >= self.band.low
         )
@@ -102,7 +101,7 @@ class NumberSeries:
         span = float(days[-1])
         change, std = slope * span, scatter * span / math.sqrt(float(centred @ centred))
         sure = abs(change) > float(student.ppf(0.5 + 0.5 * LEVEL, len(days) - 2)) * std
-        return NumberTrend(change, std, span, len(days)) if sure and abs(change) > 2.0 * INTERVAL * stated else None
+        return NumberTrend(change, std, span, len(days)) if sure and abs(change) > 2.0 * SIGMAS * stated else None
 
 
 def courses(results: Sequence[tuple[Row, Result]]) -> tuple[NumberSeries, ...]:

@@ -23,6 +23,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_names
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.kept import run_kept
+from sgms_mhe.support.notebooks import Presentation, Shown
 from sgms_mhe.support.processes import Outcome, Task, WorkerSlot
 
 ROWS: Final = "rows"
@@ -51,14 +52,17 @@ class Done:
     seconds: float
 
 
-@dataclass(frozen=True)
-class Fleet:
+@dataclass(frozen=True, repr=False)
+class Fleet(Shown):
     """Every row of a table once, in the table's order, and the numbers of every axis in their bands."""
 
     table: Path
     verb: Verb
     rows: tuple[Done, ...]
     courses: tuple[NumberSeries, ...]
+
+    def _shown(self) -> Presentation:
+        return f"{self.verb} of {self.table}: {len(self.rows)} logs, {len(self.failures)} failed", (), ()
 
     @property
     def failures(self) -> tuple[Done, ...]:

@@ -8,6 +8,7 @@ from typing import Final, Literal
 
 from sgms_mhe.model.effects.excitation import Excitation
 from sgms_mhe.model.effects.motion import Extents
+from sgms_mhe.support.notebooks import Presentation, Shown
 
 Move = Literal["loops", "speeds", "travel", "jerks", "rests", "places", "again"]
 MOVES: Final[Mapping[Move, str]] = {
@@ -39,8 +40,8 @@ class Simpler:
     reached: Callable[[Mapping[str, float], Extents], bool] = _never
 
 
-@dataclass(frozen=True, kw_only=True)
-class CauseDefinition:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CauseDefinition(Shown):
     """Common part of effects and wrong numbers.
 
     Attributes:
@@ -68,3 +69,6 @@ class CauseDefinition:
     excludes: tuple[str, ...] = ()
     simpler: Simpler = Simpler()
     of_record: bool = False
+
+    def _shown(self) -> Presentation:
+        return f"{self.name}, {self.summary}", (), ()

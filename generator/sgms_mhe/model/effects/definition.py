@@ -49,7 +49,7 @@ def _no_fault(_: Mapping[str, Value]) -> Fault | None:
 PlantForce = Callable[[float, float, float, Mapping[str, float]], float]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class EffectDefinition(CauseDefinition):
     """The one definition of an effect that reference, generator and diagnosis read.
 
