@@ -89,6 +89,7 @@ def test_names_a_hidden_effect_and_its_size(
             assert abs(error) < 0.7e-3  # rows are a millisecond
         else:
             assert abs(error) < 0.1 * abs(value), key
+    assert diagnosis.causes[0].p_value < 1e-3  # 27 deviations of a lag were once a chance of 0.4
     assert diagnosis.rms.held_out_after < 0.3 * diagnosis.rms.held_out_before
     assert diagnosis.rms.held_out_after < 1.6 * diagnosis.noise_floor_N
     assert diagnosis.extended is not None

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,14 @@ import pytest
 import diagnosis_cases
 from cli_cases import SCRIPT, SMALL, done, files, refused, run
 from dask_cluster import Cluster
-from sgms_mhe.api.fleet import Fleet, run_fleet
+from sgms_mhe.api.fleet import Done, Fleet, run_fleet
 from sgms_mhe.api.fleet.bands import LEVEL, NumberSeries, courses
 from sgms_mhe.api.fleet.table import Row, read_table
 from sgms_mhe.api.fleet.work import FleetNumber, Result, machine_name, work
+from sgms_mhe.api.fleet.writing import results_json, write_fleet
+from sgms_mhe.commands.fleet import _text as fleet_text
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.diagnosis.result import Standing
 from sgms_mhe.signals.estimates import read_estimates
 from sgms_mhe.support.processes import HERE, WorkerSlot
 
@@ -280,7 +284,7 @@ def course(values: list[float], *, std: float = 0.1, machine: str = "m", axis: s
     for k, value in enumerate(values):
         date = start + datetime.timedelta(days=step * k)
         row = Row(k + 2, machine, Path(f"{axis}{k}.csv"), f"{axis}{k}", axis, date, None)
-        result = Result("good", "", "linear", machine, (FleetNumber("coulomb", value, std, 4.0),), ())
+        result = Result("good", "certain", "", "linear", machine, (FleetNumber("coulomb", value, std, 4.0),), ())
         found.append((row, result))
     return found
 
@@ -339,6 +343,29 @@ def test_an_axis_without_a_past_is_held_against_the_fleet() -> None:
         mixed = [*rows[:-1], (Row(99, machine, *_rest(rows[-1][0])[1:]), rows[-1][1])]
         assert courses(mixed)[-1].points[0].band is None
     assert all(c.points[0].band is None for c in courses(rows[:5]))  # too few
+
+
+@pytest.mark.parametrize(
+    ("standing", "verdict", "badge", "said"),
+    [
+        ("certain", "good", "certain", "All 6 logs done; no axis stands out"),
+        ("limited", "explained", "limited", "All 6 logs done; no axis stands out"),
+        ("undecided", "doubt", "undecided", "All 6 logs done; 6 of 6 logs open: 6 doubt; no axis stands out"),
+        ("failed", "unexplained", "undecided", "6 of 6 logs open: 6 unexplained"),
+        ("nothing", "adequate", "undecided", "6 of 6 logs open: 6 adequate"),
+    ],
+)
+def test_a_fleet_is_green_where_every_result_holds(
+    standing: Standing, verdict: str, badge: str, said: str, tmp_path: Path
+) -> None:
+    rows = [(row, replace(result, verdict=verdict, standing=standing)) for row, result in course([4.0] * 6)]
+    done_rows = tuple(Done(row, result, "", None, 0.0) for row, result in rows)
+    fleet = Fleet(tmp_path / "table.csv", "estimate", done_rows, courses(rows))
+    page = write_fleet(fleet, tmp_path)
+    html = page.read_text()
+    assert f'<span class="pill {badge}">' in html and said in html
+    assert ("6 of 6 logs open" in fleet_text(fleet, page)) == (badge == "undecided")
+    assert {row["standing"] for row in results_json(fleet, tmp_path)["rows"]} == {standing}
 
 
 def _rest(row: Row) -> tuple[Any, ...]:

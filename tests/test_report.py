@@ -170,13 +170,13 @@ def test_explained_says_cause_numbers_and_file(machine: Machine, tmp_path: Path)
     diagnosis = cases.explained(machine)
     page = read(write_report(diagnosis, tmp_path))
     words = page.words
-    assert "Found: force periodic in position (0.797 N)." in words
+    assert "Found: force periodic in position (0.797 ± 0.012 N)." in words
     before, after = force(diagnosis.rms.held_out_before), force(diagnosis.rms.held_out_after)
     assert f"measured minus simulated friction falls from {before} to {after} RMS".replace(SPACE, " ") in words
     assert "Confirm it on another record" in words
     assert "sgms-mhe predict etel_xy_force_ripple.toml ANOTHER_LOG" in words
     assert "0.797 ± 0.012 N" in words
-    assert "32.003 ± 0.041 mm" in words
+    assert "32.003 ± 0.042 mm" in words
     assert "Force periodic in position" in words
     assert "0.548 to 0.577 N" in words
     assert "120 of 6000 samples are missing" in words
@@ -185,6 +185,17 @@ def test_explained_says_cause_numbers_and_file(machine: Machine, tmp_path: Path)
     assert toml is not None
     assert " ".join(toml.split()) in words
     assert (tmp_path / "etel_xy_force_ripple.toml").read_text() == toml
+
+
+def test_a_cause_that_noise_looks_like_is_not_found(machine: Machine, tmp_path: Path) -> None:
+    sure = cases.explained(machine)
+    doubted = replace(sure, causes=tuple(replace(cause, p_value=0.98) for cause in sure.causes))
+    assert doubted.standing == "limited" and not any(map(doubted.identifies, doubted.causes))
+    words = read(write_report(doubted, tmp_path)).words
+    number = "force periodic in position (0.797 ± 0.012 N)"
+    assert f"Not certain: {number}." in words and "Found:" not in words
+    assert "noise looks like it with a chance of 0.98" in words and "Chance that noise looks like this: 0.98" in words
+    assert "explained, with limits" in words
 
 
 def test_ambiguous_shows_the_rival_and_the_next_step(machine: Machine, tmp_path: Path) -> None:
@@ -371,7 +382,7 @@ def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_pa
         separating_experiment=f"{name} or position_spring: the same move at two ends of the travel",
     )
     words = read(write_report(diagnosis, tmp_path)).words
-    assert "Found: force periodic in position (0.797 N)." in words
+    assert "Found: force periodic in position (0.797 ± 0.012 N)." in words
     assert "Constant force, independent of motion or force proportional to position?" in words
     assert words.count("not rule out in its place: force proportional to position position_spring") == 1
     assert "another value than the machine file's" in words
@@ -446,16 +457,16 @@ def test_way_since_reversal_restarts_at_every_turn() -> None:
         ("amplitude_N", 0.0042, math.nan, "4.20 mN"),
         ("pitch_m", 0.03201, 1e-5, "32.010 ± 0.020 mm"),
         ("gap_m", 3.2e-6, 1e-7, "3.20 ± 0.20 µm"),
-        ("delay_s", 4.7e-5, 2e-6, "47.0 ± 3.9 µs"),
-        ("stiffness_1_N_m", 120e3, 2e3, "120.0 ± 3.9 N/mm"),
+        ("delay_s", 4.7e-5, 2e-6, "47.0 ± 4.0 µs"),
+        ("stiffness_1_N_m", 120e3, 2e3, "120.0 ± 4.0 N/mm"),
         ("stiffness_2", 25e3, math.nan, "25.0 N/mm"),
         ("coefficient_N_s2_m2", -1.5, 0.1, "−1.50 ± 0.20 N s²/m²"),
-        ("ratio", 0.081, 0.004, "8.10 ± 0.78 %"),
+        ("ratio", 0.081, 0.004, "8.10 ± 0.80 %"),
         ("phase_rad", math.pi / 2, 0.01, "90.0 ± 1.1 °"),
         ("corner_velocity_m_s", 0.5, 0.01, "500 ± 20 mm/s"),
         ("viscous", 203.5, 1.2, "203.5 ± 2.4 N s/m"),
         ("gain", 1.05, 0.01, "1.050 ± 0.020"),
-        ("mass_kg", 0.0, 0.5, "0.00 ± 0.98 kg"),
+        ("mass_kg", 0.0, 0.5, "0.0 ± 1.0 kg"),
         ("force_N", math.nan, 0.5, "–"),
     ],
 )

@@ -18,10 +18,11 @@ from sgms_mhe.configuration import load_machine
 from sgms_mhe.evaluation.watching import RunSummary
 from sgms_mhe.model import build_model
 from sgms_mhe.report import (
+    Band,
     FleetCourse,
     FleetLog,
     FleetPoint,
-    FleetTrend,
+    NumberTrend,
     Watched,
     write_fleet_report,
     write_refusal_report,
@@ -316,7 +317,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Axes with and without a past; some stand out; long names, and a row that failed."""
 
     def point(k: int, value: float, left: bool) -> FleetPoint:
-        return FleetPoint(f"log{k}", 1e6 * k, f"2026-0{k + 1}-01", value, 0.05, (3.8, 4.2), "own", 5, left)
+        return FleetPoint(f"log{k}", 1e6 * k, f"2026-0{k + 1}-01", value, 0.05, Band(3.8, 4.2, "own", 5), left)
 
     courses = [
         FleetCourse("an_axis_of_a_long_name" * 3, "m", "linear", "coulomb", 4.0, (point(0, 4.0, False),)),
@@ -329,12 +330,14 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "coulomb",
             4.0,
             tuple(point(k, 4.0 + 0.02 * k, False) for k in range(6)),
-            FleetTrend(0.1, 0.01, 150.0, 6),
+            NumberTrend(0.1, 0.01, 150.0, 6),
         ),
     ]
     logs = [
-        FleetLog("log0", "x", "2026-01-01", "m", "good", "done", "", ""),
-        FleetLog("absent", "z" * 60, "", "m", "", "", f"/{'folder/' * 30}absent.csv: a file that can be read", ""),
+        FleetLog("log0", "x", "2026-01-01", "m", "good", "certain", "done", "", ""),
+        FleetLog(
+            "absent", "z" * 60, "", "m", "", "nothing", "", f"/{'folder/' * 30}absent.csv: a file that can be read", ""
+        ),
     ]
     return write_fleet_report("estimate", "table.csv", logs, courses, tmp_path_factory.mktemp("fleet"))
 

@@ -87,6 +87,9 @@ def command(
 
 
 def _text(fleet: Fleet, page: Path) -> str:
+    from sgms_mhe.api.fleet.writing import fleet_logs
+    from sgms_mhe.report.fleet import describe_doubts, doubts
+
     done = [row for row in fleet.rows if not row.failure]
     fresh = [row.seconds for row in done if row.seconds]
     cost = f", {sum(fresh) / len(fresh):.1f} s each" if fresh else ""
@@ -104,6 +107,8 @@ def _text(fleet: Fleet, page: Path) -> str:
         for course in fleet.courses
         if (trend := course.trend) is not None
     ]
+    open_ = describe_doubts(doubts(fleet_logs(fleet, page.parent)), len(fleet.rows))
+    lines += [open_] if open_ else []
     lines.append(
         f"{len(done)} of {len(fleet.rows)} logs done, {len(fresh)} of them now{cost}, {len(fleet.failures)} failed"
     )

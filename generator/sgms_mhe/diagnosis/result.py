@@ -32,6 +32,11 @@ STANDS_FOR_WORDS: Final[Mapping[StandsFor, str]] = {
     "curve over speed": "may be a part of a curve over speed of another form",
     "what has no name": "uncertain, or not the same all over the record: no cause, but it predicts unseen data",
 }
+Standing = Literal["certain", "limited", "undecided", "failed", "nothing"]
+"""How far a result holds: without reservation; but for numbers or questions that stay open; not decided; not; no
+motion to judge by."""
+CHANCE: Final = 0.05
+"""Chance that noise looks like a cause, from which the cause is not certain."""
 Outcome = Literal["named", "redundant", "too small", "not significant"]
 """Of a candidate in a round: added; good, but another was better; found, but less than matters; not found."""
 
@@ -307,9 +312,21 @@ class Diagnosis(Shown):
         errors = {"before": rms.held_out_before, "after": rms.held_out_after, "plain": plain.held_out}
         return {key: value / plain.force for key, value in errors.items()}
 
+    @property
+    def standing(self) -> Standing:
+        """Return how far the verdict holds."""
+        if not self.excited:
+            return "nothing"
+        open_verdicts: dict[Verdict, Standing] = {"unexplained": "failed", "ambiguous": "undecided"}
+        return open_verdicts.get(self.verdict, "limited" if self.limits else "certain")
+
     def identifies(self, cause: Cause) -> bool:
-        """Return True if the record determines a cause's numbers, no rival fits as well, and other records agree."""
-        if cause.vague or cause.stands_for or cause.transfers is False or self.find_combination(cause):
+        """Return True if a cause is certain, and the record determines its numbers."""
+        return self.is_certain(cause) and not cause.vague
+
+    def is_certain(self, cause: Cause) -> bool:
+        """Return True if no rival of a cause fits as well, other records agree, and noise does not look like it."""
+        if cause.stands_for or cause.transfers is False or cause.p_value > CHANCE or self.find_combination(cause):
             return False
         return all(a.instead_of != cause.name for a in self.alternatives if a.rival)
 
@@ -343,7 +360,12 @@ class Diagnosis(Shown):
         ]
         collinear = (known.describe() for known in self.combinations)
         differing = (one.describe(self.machine.plant.units) for one in self.differences)
-        others = (*differing, *self.undecided, *self._parts, *vague, *collinear, *self.contradictions)
+        noise = (
+            f"{cause.label}: noise looks like it with a chance of {cause.p_value:.2f}"
+            for cause in self.causes
+            if cause.p_value > CHANCE
+        )
+        others = (*differing, *self.undecided, *self._parts, *vague, *noise, *collinear, *self.contradictions)
         return (*map(Limit, self._left), *pairs, *map(Limit, others), *unknown)
 
     @property

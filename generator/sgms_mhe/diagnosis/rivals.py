@@ -319,9 +319,10 @@ def cause_significance(subject: Subject, fit: Fit, group: ParameterGroup) -> flo
     X = fit.jacobian[recording.used]
     free = fit.find_nuisance(recording.used, inside)
     Z = free.project(X[:, inside])
-    # What the group contributes at the fit stands in for the sizes that the parameters started from.
+    # Distance of the sizes from those that they have without the cause; a lag's too, whose force is no multiple of it.
     if group.is_candidate:
-        sizes = np.array([c.group == group and c.proportional for c in columns])
+        own = effect_definition(group.cause)
+        sizes = np.array([c.group == group and own.parameter(c.name).is_size for c in columns])
         none = np.array([c.theta(c.none) if c.group == group else 0.0 for c in columns])
         shift = np.where(sizes, fit.theta - none, 0.0)[inside]
     else:

@@ -36,6 +36,8 @@ NEXT_TO_NOTHING: Final = 1.01
 RISE_SURE: Final = 2.0
 """Standard deviations above its value that a Stribeck velocity may have."""
 STAND_IN: Final = "not determined: a stand-in"
+DEFAULT: Final = "not determined: the default"
+"""Note of a number; the sentence on its cause in the file's head has the reason."""
 AMBIGUOUS: Final = "ambiguous"
 SLID: Final = 0.25
 """Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
@@ -131,13 +133,12 @@ def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Numb
     if "viscous" in found:
         numbers.append(_number("viscous", found["viscous"]))
     else:
-        numbers.append(Number("viscous", 0.0, math.nan, False, "default: the motion shows none"))
+        numbers.append(Number("viscous", 0.0, math.nan, False, DEFAULT))
     if shape.rise is None:
-        none = "default: the motion shows no rise towards low speed"
-        numbers.append(Number("stribeck_ratio", 0.0, math.nan, False, none))
+        numbers.append(Number("stribeck_ratio", 0.0, math.nan, False, DEFAULT))
         # It opens the gate of the elements alone: no later than where one breaks away within a sample.
         gate = final.view.rows.machine.sampling.rate * float(shape.distances.min())
-        numbers.append(Number("stribeck_velocity", min(NO_RISE.velocity, gate), math.nan, False, "default"))
+        numbers.append(Number("stribeck_velocity", min(NO_RISE.velocity, gate), math.nan, False, DEFAULT))
     else:
         numbers += [_number(name, found[name]) for name in ("stribeck_ratio", "stribeck_velocity")]
     numbers = [replace(n, determined=False, note=n.note or STAND_IN) if _stem(n.name) in unseen else n for n in numbers]

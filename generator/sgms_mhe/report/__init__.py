@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sgms_mhe.report.estimator import EstimatorGain, EstimatorRun, Wander, closed_loop_gain
-from sgms_mhe.report.fleet import FleetCourse, FleetLog, FleetPoint, FleetTrend
+from sgms_mhe.report.fleet import Band, FleetCourse, FleetLog, FleetPoint, NumberTrend
 from sgms_mhe.report.page import (
     attempt_report,
     write_fleet_report,
@@ -14,12 +14,13 @@ from sgms_mhe.report.page import (
 from sgms_mhe.report.watch import Watched
 
 __all__ = [
+    "Band",
     "EstimatorGain",
     "EstimatorRun",
     "FleetCourse",
     "FleetLog",
     "FleetPoint",
-    "FleetTrend",
+    "NumberTrend",
     "Wander",
     "Watched",
     "attempt_report",

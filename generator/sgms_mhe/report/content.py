@@ -20,6 +20,7 @@ from sgms_mhe.report.rivals import InPlace, open_questions, rival_blocks, rivals
 from sgms_mhe.report.series import View
 from sgms_mhe.report.units import axis_units, force, force_suffix, percent, plain, probability, quantity, split_name
 from sgms_mhe.report.words import (
+    SIGNS,
     base_words,
     between,
     capital,
@@ -36,8 +37,6 @@ SIGNIFICANT: Final = 0.01
 ENCODER_SHARE: Final = 0.25  # of a dependence, from which it is worth a word
 IDLE: Final = 0.02  # of the best candidate's gain
 
-_BADGES: Final = {"certain": "✓", "limited": "✓", "undecided": "?", "failed": "!", "nothing": "–"}
-"""Classes of the badge and their signs; only what is `certain` is green."""
 _MEANINGS: Final = {
     "adequate": "The simulation explains the record down to the noise of the measurement. Nothing is missing from it.",
     "explained": "Each cause removes some of it there.",
@@ -79,7 +78,7 @@ def page(
         "tiles": _tiles(d, gain),
         "next": _next(d),
         "warnings": [sentence(w) for w in d.warnings],
-        "causes": [_cause(c, rivals.get(c.label, [])) for c in d.causes],
+        "causes": [_cause(d, c, rivals.get(c.label, [])) for c in d.causes],
         "rivals": rival_blocks(d, in_place),
         "alternatives": [
             {"title": capital(title(a.name)), "name": a.name, "why_not": a.why_not}
@@ -171,7 +170,7 @@ def refusal(sentence_: str, machine: Machine, source: str) -> dict[str, Any]:
         "machine": machine.name,
         "description": machine.description,
         "source": source,
-        "badge": {"name": "unexplained", "style": "failed", "sign": _BADGES["failed"]},
+        "badge": {"name": "unexplained", "style": "failed", "sign": SIGNS["failed"]},
         "headline": "This log's columns cannot be what they are called: nothing was fitted to it.",
         "limits": {"title": "What is wrong with this record", "choices": [], "others": [sentence_]},
         "time_plots": [
@@ -188,12 +187,8 @@ def refusal(sentence_: str, machine: Machine, source: str) -> dict[str, Any]:
 
 def _badge(d: Diagnosis) -> dict[str, str]:
     """The verdict as a badge: green only where the record leaves nothing open."""
-    style, name = {"unexplained": "failed", "ambiguous": "undecided"}.get(d.verdict, "certain"), str(d.verdict)
-    if not d.excited:
-        style, name = "nothing", "not excited"
-    elif style == "certain" and d.limits:
-        style, name = "limited", f"{name}, with limits"
-    return {"name": name, "style": style, "sign": _BADGES[style]}
+    names = {"nothing": "not excited", "limited": f"{d.verdict}, with limits"}
+    return {"name": names.get(d.standing, d.verdict), "style": d.standing, "sign": SIGNS[d.standing]}
 
 
 def _headline(d: Diagnosis) -> str:
@@ -207,7 +202,8 @@ def _headline(d: Diagnosis) -> str:
         known = "The simulation explains this record down to the noise of the measurement."
         return f"{rest}." if d.verdict == "unexplained" else known
     rivals = rivals_by_cause(d)
-    settled = [cause_text(c) for c in d.causes if c.label not in rivals and not c.stands_for]
+    settled = [cause_text(c) for c in d.causes if d.is_certain(c)]
+    doubted = [cause_text(c) for c in d.causes if not (d.is_certain(c) or c.stands_for or c.label in rivals)]
     choices = [
         f"{capital(join_words([title(c.name), *(title(r.name) for r in rivals[c.label])], 'or'))}?"
         for c in d.causes
@@ -218,7 +214,8 @@ def _headline(d: Diagnosis) -> str:
         found = f"{found} Friction over speed has a form that no known effect has."
     elif d.verdict == "unexplained":
         found = f"{found} {rest}, too." if found else f"{rest}."
-    return " ".join((found, *choices)).strip()
+    doubts = [f"Not certain: {join_words(shorten(doubted))}."] if doubted else []
+    return " ".join((found, *doubts, *choices)).strip()
 
 
 def shorten(parts: Sequence[str]) -> list[str]:
@@ -309,12 +306,13 @@ def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
     return tiles
 
 
-def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
+def _cause(d: Diagnosis, c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
     wrong = c.name in BASE_CAUSES or bool(c.nominal)
     return {
         "title": capital(cause_title(c)),
         "label": c.label,
         "wrong_number": wrong,
+        "open": not d.is_certain(c),
         "stands_for": capital(STANDS_FOR_WORDS[c.stands_for]) if c.stands_for else "",
         "transfers": "" if c.transfers is None else "transfers" if c.transfers else "not of every record",
         "parameters": [

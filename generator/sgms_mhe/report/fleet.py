@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from markupsafe import Markup
 
 from sgms_mhe import __version__
+from sgms_mhe.diagnosis.result import Standing
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.report.courses import Mark, drawn
 from sgms_mhe.report.units import PrintedValue, quantity, split_name, use_units
-from sgms_mhe.report.words import base_words, capital, relative_change
+from sgms_mhe.report.words import SIGNS, base_words, capital, relative_change
 
 SHOWN_OPEN: Final = 8
 """Axes whose plots are not folded away, where none has left its band."""
-_VERDICTS: Final = {
-    "explained": "named",
-    "adequate": "named",
-    "good": "named",
-    "sgms": "",
-    "switching": "",
-    "failed": "bad",
+_ORIGINS: Final = {"own": "own first logs", "fleet": "other axes"}
+_STYLES: Final[Mapping[Standing, str]] = {
+    "certain": "named",
+    "limited": "",
+    "undecided": "open",
+    "failed": "open",
+    "nothing": "open",
 }
-"""Class of a verdict's badge; any other is open."""
+"""Class of a row's badge by how far its result holds."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class FleetLog:
 
     Attributes:
         name, axis, date, machine: as the table has them; date empty where it is not known.
-        verdict, summary: of its result; empty where it failed.
+        verdict, standing, summary: of its result; a log that failed has none.
         failure: why it failed; empty where it did not.
         link: to the row's own report or file, relative to the page; empty: none.
         notes: on the record.
@@ -44,10 +46,21 @@ class FleetLog:
     date: str
     machine: str
     verdict: str
+    standing: Standing
     summary: str
     failure: str
     link: str
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Band:
+    """Where a number is expected, from `count` earlier logs of the axis (`own`) or other axes (`fleet`)."""
+
+    low: float
+    high: float
+    origin: Literal["own", "fleet"]
+    count: int
 
 
 @dataclass(frozen=True)
@@ -59,9 +72,6 @@ class FleetPoint:
         time: when the log was taken, in any unit; None: not known.
         when: the same in words.
         value, std: of the number.
-        band: its ends.
-        band_of: `own` (earlier logs of the axis), `fleet` (other axes), or empty.
-        count: of the logs that the band is made of.
         left: whether the number left it.
     """
 
@@ -70,14 +80,12 @@ class FleetPoint:
     when: str
     value: float
     std: float
-    band: tuple[float, float] | None
-    band_of: Literal["own", "fleet", ""]
-    count: int
+    band: Band | None
     left: bool
 
 
 @dataclass(frozen=True)
-class FleetTrend:
+class NumberTrend:
     """A steady move: its change over `days`, with standard deviation, from a straight line through `count` logs."""
 
     change: float
@@ -99,7 +107,7 @@ class FleetCourse:
     name: str
     nominal: float
     points: tuple[FleetPoint, ...]
-    trend: FleetTrend | None = None
+    trend: NumberTrend | None = None
 
     @property
     def newest(self) -> FleetPoint:
@@ -131,20 +139,21 @@ def fleet_content(verb: str, table: str, logs: Sequence[FleetLog], courses: Sequ
     judged = sum(point.band is not None for course in courses for point in course.points)
     axes = list(dict.fromkeys(log.axis for log in logs))
     gone = list(dict.fromkeys(course.axis for course in left))
+    open_ = doubts(logs)
     return {
         "machine": f"fleet {verb}",
         "description": "",
         "source": table,
-        "badge": _badge(len(failed), len(gone)),
-        "headline": _headline(len(logs), len(failed), gone),
+        "badge": _badge(logs, failed, gone, open_),
+        "headline": _headline(len(logs), len(failed), gone, open_),
         "limits": None,
         "verb": verb,
-        "tiles": _tiles(logs, failed, axes, gone, judged, len(left)),
+        "tiles": _tiles(logs, failed, axes, gone, judged, len(left), open_),
         "failed": failed,
         "left": [departure for course in left for departure in _departures(course)],
         "axes": _axes(courses, gone),
         "strips": _strips(courses),
-        "logs": [{"log": log, "badge": _VERDICTS.get(log.verdict, "open")} for log in logs],
+        "logs": [{"log": log, "badge": _STYLES[log.standing]} for log in logs],
         "about": [
             ("Table", table),
             ("Numbers", "value and interval of two standard deviations, as the log determines it"),
@@ -158,20 +167,37 @@ def fleet_content(verb: str, table: str, logs: Sequence[FleetLog], courses: Sequ
     }  # fmt: skip
 
 
-def _badge(failed: int, gone: int) -> dict[str, str]:
+def doubts(logs: Sequence[FleetLog]) -> dict[str, int]:
+    """Count the logs whose result does not hold, by verdict."""
+    return Counter(log.verdict for log in logs if not log.failure and _STYLES[log.standing] == "open")
+
+
+def describe_doubts(open_: Mapping[str, int], logs: int) -> str:
+    """Return the words on logs whose result does not hold: `4 of 6 logs open: 3 doubt, 1 late`; empty: all hold."""
+    each = ", ".join(f"{count} {verdict}" for verdict, count in open_.items())
+    return f"{sum(open_.values())} of {logs} logs open: {each}" if open_ else ""
+
+
+def _badge(
+    logs: Sequence[FleetLog], failed: Sequence[FleetLog], gone: Sequence[str], open_: Mapping[str, int]
+) -> dict[str, str]:
+    style, name = "certain", "all done, nothing stands out"
     if failed:
-        return {"style": "failed", "sign": "!", "name": f"{failed} failed"}
-    if gone:
-        return {"style": "undecided", "sign": "?", "name": f"{gone} {'axis stands' if gone == 1 else 'axes stand'} out"}
-    return {"style": "certain", "sign": "✓", "name": "all done, nothing stands out"}
+        style, name = "failed", f"{len(failed)} failed"
+    elif gone:
+        style, name = "undecided", f"{len(gone)} {'axis stands' if len(gone) == 1 else 'axes stand'} out"
+    elif open_:
+        style, name = "undecided", describe_doubts(open_, len(logs)).partition(":")[0]
+    elif any(log.standing == "limited" for log in logs):
+        style, name = "limited", "all done, with limits"
+    return {"style": style, "sign": SIGNS[style], "name": name}
 
 
-def _headline(logs: int, failed: int, gone: Sequence[str]) -> str:
+def _headline(logs: int, failed: int, gone: Sequence[str], open_: Mapping[str, int]) -> str:
     done = f"{logs - failed} of {logs} logs done" if failed else f"All {logs} logs done"
-    if not gone:
-        return f"{done}; no axis stands out"
     shown = ", ".join(gone[:3]) + (f" and {len(gone) - 3} more" if len(gone) > 3 else "")
-    return f"{done}; {shown} {'stands' if len(gone) == 1 else 'stand'} out"
+    out = f"{shown} {'stands' if len(gone) == 1 else 'stand'} out" if gone else "no axis stands out"
+    return "; ".join(part for part in (done, describe_doubts(open_, logs), out) if part)
 
 
 def _tiles(
@@ -181,6 +207,7 @@ def _tiles(
     gone: Sequence[str],
     judged: int,
     left: int,
+    open_: Mapping[str, int],
 ) -> list[dict[str, str]]:
     by_chance = 0.01 * judged
     return [
@@ -190,6 +217,12 @@ def _tiles(
             "value": f"{len(failed)}",
             "kind": "bad" if failed else "",
             "note": "each with its reason below" if failed else "every row has its result",
+        },
+        {
+            "label": "Open",
+            "value": f"{sum(open_.values())}",
+            "kind": "before" if open_ else "",
+            "note": ", ".join(f"{count} {verdict}" for verdict, count in open_.items()) or "every result holds",
         },
         {
             "label": "Axes that stand out",
@@ -208,8 +241,8 @@ def _tiles(
 
 def _departures(course: FleetCourse) -> list[dict[str, str]]:
     """The newest log that left its band, with how many did; and a steady move."""
-    out = [point for point in course.points if point.left]
-    found = [_departure(course, out[-1], len(out))] if out else []
+    out = [(point, point.band) for point in course.points if point.band is not None and point.left]
+    found = [_departure(course, *out[-1], len(out))] if out else []
     if course.trend is not None:
         t, newest = course.trend, course.newest
         before = newest.value - t.change
@@ -227,17 +260,17 @@ def _departures(course: FleetCourse) -> list[dict[str, str]]:
     return found
 
 
-def _departure(course: FleetCourse, point: FleetPoint, times: int) -> dict[str, str]:
-    low, high = point.band or (float("nan"), float("nan"))
-    of = "its own first" if point.band_of == "own" else "the newest logs of the other"
-    what = "logs" if point.band_of == "own" else "axes"
-    side = "above" if point.value > high else "below"
+def _departure(course: FleetCourse, point: FleetPoint, band: Band, times: int) -> dict[str, str]:
+    of = f"its own first {band.count} logs"
+    if band.origin == "fleet":
+        of = f"the newest logs of the other {band.count} axes"
+    side = "above" if point.value > band.high else "below"
     return {
         "axis": course.axis,
         "words": course.words(),
         "value": str(course.written(point.value, point.std)),
         "when": point.when or point.log,
-        "why": f"{side} the band {course.written(low)} to {course.written(high)} of {of} {point.count} {what}"
+        "why": f"{side} the band {course.written(band.low)} to {course.written(band.high)} of {of}"
         + (f"; {times} of its {len(course.points)} logs" if times > 1 else ""),
     }
 
@@ -268,7 +301,7 @@ def _plot(course: FleetCourse) -> dict[str, Any]:
     ends = (course.points[0].when, course.points[-1].when) if known else ("first", "last")
     line: Literal["", "course", "course moves"] = ("course moves" if course.trend else "course") if known else ""
     newest = course.newest
-    band = {"own": "own first logs", "fleet": "other axes", "": "none yet"}[newest.band_of]
+    band = "none yet" if newest.band is None else _ORIGINS[newest.band.origin]
     return {
         "words": course.words(),
         "value": str(course.written(newest.value, newest.std)),
@@ -284,7 +317,8 @@ def _writer(course: FleetCourse) -> Callable[[float], str]:
 
 def _mark(course: FleetCourse, point: FleetPoint, at: float, name: str = "") -> Mark:
     said = f"{name or point.when or point.log}: {course.written(point.value, point.std)}"
-    return Mark(at, point.value, point.std, point.band, point.left, said, name)
+    band = None if point.band is None else (point.band.low, point.band.high)
+    return Mark(at, point.value, point.std, band, point.left, said, name)
 
 
 def _strips(courses: Sequence[FleetCourse]) -> list[dict[str, Any]]:

@@ -10,6 +10,8 @@ from sgms_mhe.diagnosis import Cause
 from sgms_mhe.model.effects import BASE_CAUSES, base_number, cause, cause_names
 from sgms_mhe.report.units import force, force_suffix, percent, quantity
 
+SIGNS: Final = {"certain": "✓", "limited": "✓", "undecided": "?", "failed": "!", "nothing": "–"}
+"""Signs of a badge by its style, how far a result holds; only what is `certain` is green."""
 LEAST_CHANGE: Final = 5e-4
 """Of a change: less is zero at the digits that it is written with."""
 
@@ -30,7 +32,7 @@ def cause_text(c: Cause) -> str:
     key = next(iter(c.parameters), None)
     if key is None or c.nominal or c.name in BASE_CAUSES:
         return cause_title(c)
-    return f"{title(c.name)} ({quantity(key, c.parameters[key])})"
+    return f"{title(c.name)} ({quantity(key, c.parameters[key], c.std.get(key, math.nan))})"
 
 
 def base_words(name: str) -> str:

@@ -24,6 +24,7 @@ from scipy.stats import t as student
 
 from sgms_mhe.api.fleet.table import Row
 from sgms_mhe.api.fleet.work import FleetNumber, Result
+from sgms_mhe.report import Band, NumberTrend
 from sgms_mhe.support.numbers import SIGMAS
 
 LEVEL: Final = 0.99
@@ -36,16 +37,6 @@ LEAST_FLEET: Final = 5
 DAY_S: Final = 86_400.0
 _TO_DEVIATION: Final = 1.4826
 """Standard deviation over median absolute deviation, of a Gaussian."""
-
-
-@dataclass(frozen=True)
-class Band:
-    """Where a number is expected, from `count` earlier logs of the axis (`own`) or other axes (`fleet`)."""
-
-    low: float
-    high: float
-    origin: Literal["own", "fleet"]
-    count: int
 
 
 @dataclass(frozen=True)
@@ -63,16 +54,6 @@ class BandPoint:
         return self.band is not None and not (
             self.number.value - reach <= self.band.high and self.number.value + reach >= self.band.low
         )
-
-
-@dataclass(frozen=True)
-class NumberTrend:
-    """A steady move: its change over `days`, with standard deviation, from a straight line through `count` logs."""
-
-    change: float
-    std: float
-    days: float
-    count: int
 
 
 @dataclass(frozen=True)

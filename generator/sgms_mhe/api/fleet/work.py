@@ -18,6 +18,7 @@ from sgms_mhe.api.estimation import estimate
 from sgms_mhe.api.fleet.table import Row, Verb
 from sgms_mhe.api.identification import identify
 from sgms_mhe.api.inputs import read_log
+from sgms_mhe.diagnosis.result import Standing
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.machine.writing import toml_log
 from sgms_mhe.model import build_model
@@ -51,6 +52,7 @@ class Result:
 
     Attributes:
         verdict: of a diagnosis; of an estimation `good` or its most frequent flag; of an identification the law.
+        standing: how far that holds.
         summary: one sentence.
         kind: of the axis.
         machine: name of the machine.
@@ -59,6 +61,7 @@ class Result:
     """
 
     verdict: str
+    standing: Standing
     summary: str
     kind: Kind
     machine: str
@@ -123,6 +126,7 @@ def _diagnose(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Res
     ]
     return Result(
         found.verdict,
+        found.standing,
         found.summary,
         machine.plant.kind,
         machine.name,
@@ -138,7 +142,8 @@ def _estimate(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Res
     columns = (estimates.parameter_names, estimates.parameters[-1], estimates.std[-1], nominal)
     numbers = [FleetNumber(name, float(v), float(s), float(n)) for name, v, s, n in zip(*columns, strict=True)]
     verdict, summary = _course(machine, estimates)
-    return Result(verdict, summary, machine.plant.kind, machine.name, _finite_numbers(numbers), tuple(notes))
+    standing: Standing = "certain" if verdict == "good" else "undecided"
+    return Result(verdict, standing, summary, machine.plant.kind, machine.name, _finite_numbers(numbers), tuple(notes))
 
 
 def _course(machine: Machine, estimates: Estimates) -> tuple[str, str]:
@@ -165,6 +170,7 @@ def _identify(row: Row, machine: Machine | None, table: Mapping[str, Any], folde
     unit = found.machine.plant.units.force
     return Result(
         found.law,
+        "limited" if found.limits else "certain",
         f"{found.machine.friction.n_z} elements; held-out residual {found.held_out_rms_N:.3g} {unit}, noise "
         f"{found.noise_floor_N:.3g} {unit}",
         found.machine.plant.kind,

@@ -15,7 +15,7 @@ from sgms_mhe.api.fleet.running import Done, Fleet
 from sgms_mhe.api.fleet.work import FleetNumber, Result, json_text
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.model.effects import reported_name
-from sgms_mhe.report import FleetCourse, FleetLog, FleetPoint, FleetTrend, write_fleet_report
+from sgms_mhe.report import FleetCourse, FleetLog, FleetPoint, write_fleet_report
 from sgms_mhe.support.files import write_text
 
 _LINKED = ("report.html", "estimates.csv", "identification.json")
@@ -27,8 +27,13 @@ def write_fleet(fleet: Fleet, out: str | Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "results.csv", results_csv(fleet, folder))
     write_text(folder / "results.json", json_text(results_json(fleet, folder)))
-    logs = [_log(done, folder) for done in fleet.rows]
+    logs = fleet_logs(fleet, folder)
     return write_fleet_report(fleet.verb, str(fleet.table), logs, [_course(c, fleet) for c in fleet.courses], folder)
+
+
+def fleet_logs(fleet: Fleet, folder: Path) -> list[FleetLog]:
+    """Return the rows as page and terminal show them."""
+    return [_log(done, folder) for done in fleet.rows]
 
 
 def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
@@ -49,6 +54,7 @@ def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
                 "outcome": "failed" if done.failure else "done",
                 "failure": done.failure or None,
                 "verdict": done.result.verdict if done.result else None,
+                "standing": done.result.standing if done.result else None,
                 "summary": done.result.summary if done.result else None,
                 "notes": list(done.result.notes) if done.result else [],
                 "folder": _relative(done, folder),
@@ -139,6 +145,7 @@ def _log(done: Done, folder: Path) -> FleetLog:
         date=_when(done),
         machine=result.machine if result else row.machine,
         verdict=result.verdict if result else "",
+        standing=result.standing if result else "nothing",
         summary=result.summary if result else "",
         failure=done.failure,
         link=link,
@@ -162,14 +169,11 @@ def _course(course: NumberSeries, fleet: Fleet) -> FleetCourse:
             when=_when(done[p.row.number]),
             value=p.number.value,
             std=p.number.std,
-            band=(p.band.low, p.band.high) if p.band else None,
-            band_of=p.band.origin if p.band else "",
-            count=p.band.count if p.band else 0,
+            band=p.band,
             left=p.left,
         )
         for p in course.points
     )
-    trend = course.trend
     return FleetCourse(
         axis=course.axis,
         machine=last.machine,
@@ -177,5 +181,5 @@ def _course(course: NumberSeries, fleet: Fleet) -> FleetCourse:
         name=course.name,
         nominal=course.points[-1].number.nominal,
         points=points,
-        trend=None if trend is None else FleetTrend(trend.change, trend.std, trend.days, trend.count),
+        trend=course.trend,
     )
