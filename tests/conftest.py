@@ -14,6 +14,8 @@ from typing import Any
 import hypothesis
 import pytest
 
+from sgms_mhe.support.errors import speak_to_command_line
+
 os.environ.setdefault("MPLBACKEND", "Agg")
 if "PYTEST_XDIST_WORKER" in os.environ:  # the cores are shared out already
     os.environ.setdefault("SGMS_MHE_WORKERS", "1")
@@ -37,6 +39,13 @@ pytest_plugins = ["pytester"]
 
 
 # --- fixtures ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def command_line_words() -> Iterable[None]:
+    """Let messages name keys and options, whoever calls: tests of Python's words print them in a context of its own."""
+    with speak_to_command_line():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,10 @@ import re
 import runpy
 import subprocess
 import sys
+from contextvars import Context
 from dataclasses import fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -167,7 +169,7 @@ def test_a_frame_is_mapped_as_a_file_is(small: Path, log: Log, tmp_path: Path) -
     ("change", "expected"),
     [
         (lambda frame: frame.drop(columns="force_N"), "force_N"),
-        (lambda frame: frame.assign(force_N="much"), "real numbers"),
+        (lambda frame: frame.assign(force_N="much"), "row 1, column force_N = 'much': a number"),
         (lambda frame: pd.concat([frame, frame[["force_N"]]], axis=1), "each name once"),
         (lambda frame: frame.iloc[::2], "sampling.rate of small"),
         (lambda frame: 3, "a path, a Log, a pandas.DataFrame or arrays by name"),
@@ -230,7 +232,7 @@ def test_columns_in_other_forms_are_read(form: str, log: Log) -> None:
     ("columns", "expected"),
     [
         ({"position_m": [1.0, 2.0], "force_N": [1.0]}, "as many values in each array"),
-        ({"position_m": ["much", "more"], "force_N": [1.0, 2.0]}, "real numbers"),
+        ({"position_m": ["much", "more"], "force_N": [1.0, 2.0]}, "row 1, column position_m = 'much': a number"),
     ],
 )
 def test_arrays_that_are_no_log_are_refused(columns: dict[str, list[object]], expected: str) -> None:
@@ -258,6 +260,7 @@ def test_results_can_be_looked_at_kept_and_not_changed(small: Path, log: Log) ->
         for array in arrays:
             with pytest.raises(ValueError, match="read-only"):
                 array[...] = 0
+        assert len(repr(result)) < 200 and "array" not in repr(result)
         html = result._repr_html_()
         assert html.count("<") == html.count(">") > 1
         axes = result.plot()
@@ -277,6 +280,8 @@ def test_a_diagnosis_is_looked_at(small: Path) -> None:
     assert len(frame) == sum(len(cause.parameters) for cause in found.causes) > 0
     assert set(frame["cause"]) == {cause.name for cause in found.causes}
     assert found.verdict in found._repr_html_() and found.causes[0].name in found._repr_html_()
+    assert repr(found).startswith("<Diagnosis explained") and len(repr(found)) < 400
+    assert "value +- 2 sigma" in found._repr_html_() and "+- " in found._repr_html_().partition("<tbody>")[2]
     axes = found.plot()
     assert [line.get_label() for line in axes.lines] == ["before", "after"]
     plt.close(axes.figure)
@@ -296,6 +301,52 @@ def test_what_a_table_says_is_escaped() -> None:
 
     html = Table()._repr_html_()
     assert all(escaped in html for escaped in ("&lt;b&gt;", "a &amp; b", "&lt;i&gt;"))
+
+
+TIME = np.arange(2000) * 1e-3
+SINE, COSINE = np.sin(TIME), np.cos(TIME)
+REFUSED: dict[str, tuple[dict[str, Any], str, object, str, str]] = {
+    "uneven time": (
+        {"time_s": TIME**1.3, "position_m": SINE, "force_N": COSINE},
+        "row 2, column time_s",
+        float(TIME[1] ** 1.3),
+        'read_log\'s table={"resample": True} for uneven time',
+        "[log] (machine file, --log) has resample = true for uneven time",
+    ),
+    "two columns missing": (
+        {"time_s": TIME, "a": SINE, "b": COSINE},
+        "columns position_m, force_N",
+        None,
+        'read_log\'s table says where it is: {"force_N": {"variable": "...", "unit": "..."}}',
+        '[log] (machine file, --log) says where it is: force_N = { variable = "...", unit = "..." }',
+    ),
+    "no time": (
+        {"position_m": SINE, "force_N": COSINE},
+        "column time_s",
+        None,
+        'where there is none it has {"rate": ...} [Hz]',
+        "where there is none it has rate = ... [Hz], as --rate",
+    ),
+    "text": (
+        {"time_s": TIME, "position_m": ["fault" if k in (3, 9) else k * 1e-4 for k in range(2000)], "force_N": COSINE},
+        "row 4, column position_m",
+        "fault",
+        "a number, or NaN",
+        "a number, or NaN",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_refusal_carries_data_and_names_what_the_caller_can_set(case: str) -> None:
+    columns, where, value, in_python, on_command_line = REFUSED[case]
+    with pytest.raises(InputError) as caught:
+        sgms_mhe.read_log(columns)
+    error = caught.value
+    assert (error.source, error.where, error.value) == ("DataFrame", where, value)
+    assert on_command_line in error.allowed and error.allowed in str(error)
+    told = Context().run(str, error)
+    assert in_python in told and "--" not in told and "machine file" not in told
 
 
 @pytest.mark.parametrize("kind", [InputError, ImplausibleError])

@@ -6,14 +6,19 @@ import os
 import re
 import subprocess
 import sys
+import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cli_cases import SCRIPT, SMALL, done, on_terminal, refused
 from sgms_mhe.cli import command_names
-from sgms_mhe.commands.common import LONGEST_LOOK_S, AwakeClock
+from sgms_mhe.commands import common
+from sgms_mhe.commands.common import LONGEST_LOOK_S, AwakeClock, progress_bar, step_notes, steps_bar
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES
 from sgms_mhe.support.paths import machines_dir
 
@@ -88,6 +93,32 @@ def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
 
 def test_a_terminal_shows_a_bar(tmp_path: Path) -> None:
     assert "simulate small" in on_terminal(*simulating(tmp_path))
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+@pytest.mark.parametrize(
+    ("progress", "told", "line"),
+    [
+        (steps_bar, ("refitting", 0.02), "2 %, refitting"),
+        (step_notes, ("elements: 3",), "elements: 3"),
+        (partial(progress_bar, "estimate axis"), (40, 100), "estimate axis, 40 %"),
+    ],
+)
+def test_a_long_step_is_not_silent_without_a_terminal(
+    progress: Callable[[], Any],
+    told: tuple[Any, ...],
+    line: str,
+    quiet: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(common, "LINE_S", 0.05)
+    monkeypatch.setattr(common, "is_quiet", lambda: quiet)
+    with progress() as tell:
+        tell(*told)  # and nothing more for a while
+        time.sleep(0.3)
+    said = capsys.readouterr().err.splitlines()
+    assert said == [] if quiet else 2 <= len(said) <= 6 and all(f"s: {line}" in words for words in said)
 
 
 def simulating(folder: Path) -> tuple[str | Path, ...]:

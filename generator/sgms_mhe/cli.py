@@ -21,7 +21,7 @@ from typing import Any, Final, NoReturn, cast
 import click
 
 from sgms_mhe import __version__
-from sgms_mhe.support.errors import BuildError, InputError
+from sgms_mhe.support.errors import BuildError, InputError, speak_to_command_line
 from sgms_mhe.support.names import did_you_mean, name_distribution
 
 COMMANDS: Final = {
@@ -103,7 +103,7 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the arguments name."""
-        with _outcomes(ctx):
+        with speak_to_command_line(), _outcomes(ctx):
             result = super().invoke(ctx)
             sys.stdout.flush()  # here, where a closed pipe can still be told from success
             return result

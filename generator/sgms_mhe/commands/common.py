@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
 
+LINE_S: Final = 30.0
+"""Between two lines of progress where no terminal shows a bar."""
 LONGEST_LOOK_S: Final = 2.0
 """A bar that was not looked at for longer was not running."""
 
@@ -258,7 +260,14 @@ def steps_bar(elsewhere: Callable[[str], None] | None = None) -> Iterator[Callab
         elsewhere: called with each step where nobody watches.
     """
     if not _is_watched():
-        yield lambda step, share: None if elsewhere is None else elsewhere(step)
+        with _sparse_lines() as say:
+
+            def tell(step: str, share: float) -> None:
+                say(f"{100.0 * share:.0f} %, {step}")
+                if elsewhere is not None:
+                    elsewhere(step)
+
+            yield tell
         return
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -268,10 +277,33 @@ def steps_bar(elsewhere: Callable[[str], None] | None = None) -> Iterator[Callab
         yield lambda step, share: bar.update(task, completed=share, description=step)
 
 
-def note_step(text: str) -> None:
-    """Print a step of a long computation on stderr where that is a terminal."""
+@contextmanager
+def step_notes() -> Iterator[Callable[[str], None]]:
+    """Steps of a long computation on stderr: each where that is a terminal, else a line now and then."""
     if _is_watched():
-        note(text)
+        yield note
+        return
+    with _sparse_lines() as say:
+        yield say
+
+
+@contextmanager
+def _sparse_lines() -> Iterator[Callable[[str], None]]:
+    """Yield what takes the present step, which is printed on stderr every `LINE_S`, but where --quiet was given."""
+    began, ended, steps, quiet = time.monotonic(), threading.Event(), [""], is_quiet()
+
+    def show_steps() -> None:
+        while not ended.wait(LINE_S):
+            if steps[0] and not quiet:
+                click.echo(f"{time.monotonic() - began:.0f} s: {steps[0]}", err=True)
+
+    thread = threading.Thread(target=show_steps, daemon=True)  # a step may take minutes, and reports nothing meanwhile
+    thread.start()
+    try:
+        yield lambda step: steps.__setitem__(0, step)
+    finally:
+        ended.set()
+        thread.join()
 
 
 @contextmanager
@@ -279,7 +311,8 @@ def progress_bar(label: str) -> Iterator[Progress]:
     """A bar on stderr where that is a terminal; yields what reports (steps done, steps in all) to it."""
     # Even where nothing is shown, work that reports returns to the interpreter and can be interrupted.
     if not _is_watched():
-        yield lambda done, total: None
+        with _sparse_lines() as say:
+            yield lambda done, total: say(f"{label}, {100.0 * done / max(total, 1):.0f} %")
         return
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 

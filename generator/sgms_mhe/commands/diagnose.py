@@ -20,12 +20,12 @@ from sgms_mhe.commands.common import (
     machine_argument,
     note,
     note_broken_effects,
-    note_step,
     out_option,
     part_options,
     recorded_log,
     show,
     standalone_option,
+    step_notes,
     steps_bar,
     trace_option,
 )
@@ -114,9 +114,10 @@ def command(
     write_diagnosis(found, folder)
     gain, refused = None, None
     if another is not None and found.extended is not None:
-        note_step("estimators of the machine and of the extended machine on the unseen log")
         try:
-            gain = closed_loop_gain(resolved, found.extended, another)
+            with step_notes() as progress:
+                progress("estimators of the machine and of the extended machine on the unseen log")
+                gain = closed_loop_gain(resolved, found.extended, another)
         except InputError as error:  # said after the verdict, which does not hang on this log
             refused = error
     report = attempt_report(found, folder, partial(click.echo, err=True), estimator=gain)

@@ -15,9 +15,9 @@ from sgms_mhe.commands.common import (
     json_option,
     json_text,
     note,
-    note_step,
     out_option,
     show,
+    step_notes,
     table_text,
     trace_option,
 )
@@ -92,9 +92,9 @@ def command(
 
     model = load_for_log(like, table) if like is not None else None
     read = [read_log(path, model, table=table, note=note) for path in logs]
-    with trace_decisions(trace):
+    with trace_decisions(trace), step_notes() as progress:
         found = identify(
-            read, out.stem, mass=mass, inertia=inertia, elements=elements, like=model, note=note, progress=note_step
+            read, out.stem, mass=mass, inertia=inertia, elements=elements, like=model, note=note, progress=progress
         )
     write_text(out, found.toml if model is not None else found.toml + toml_log(table, read[0].kind))
     residuals = [measure_residual(found.machine, log) for log in read]

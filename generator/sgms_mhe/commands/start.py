@@ -14,9 +14,9 @@ from sgms_mhe.commands.common import (
     example,
     json_text,
     note,
-    note_step,
     out_option,
     show,
+    step_notes,
 )
 from sgms_mhe.commands.log_options import log_options
 from sgms_mhe.support.errors import InputError
@@ -126,5 +126,6 @@ def _from_logs(
     from sgms_mhe.machine.writing import toml_log
 
     read = [read_log(path, table=table, note=note) for path in logs]
-    found = identify(read, name, mass=mass, inertia=inertia, note=note, progress=note_step)
+    with step_notes() as progress:
+        found = identify(read, name, mass=mass, inertia=inertia, note=note, progress=progress)
     return found.toml + toml_log(table, read[0].kind)

@@ -14,11 +14,11 @@ from sgms_mhe.commands.common import (
     json_text,
     log_argument,
     machine_argument,
-    note_step,
     out_option,
     recorded_log,
     show,
     standalone_option,
+    step_notes,
     table_text,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
@@ -65,7 +65,8 @@ def command(
     from sgms_mhe.evaluation.tuning import tune
     from sgms_mhe.support.files import write_text
 
-    tuned = tune(resolved, recorded_log(log, resolved), note_step)
+    with step_notes() as progress:
+        tuned = tune(resolved, recorded_log(log, resolved), progress)
     if out is not None:
         write_text(out, _toml(tuned, out, log.name, standalone))
     if plot is not None:

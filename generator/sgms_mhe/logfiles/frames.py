@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -74,19 +73,19 @@ def _values(name: str, values: NDArray[Any]) -> Array:
         return seconds(values)
     if values.dtype.kind == "m":
         return values.astype("timedelta64[ns]").astype(np.int64) / 1e9
-    if values.dtype.kind in "OU" and all(isinstance(value, str) for value in values.flat):
-        values = _numbers(values)
-    elif values.dtype.kind == "O":
-        with suppress(TypeError, ValueError):  # None and numbers mixed
-            values = values.astype(np.float64)
+    if values.dtype.kind in "OU":
+        values = _numbers(name, np.atleast_1d(values))
     return real(FRAME, name, values)
 
 
-def _numbers(texts: NDArray[Any]) -> NDArray[Any]:
-    """Texts as numbers by the decimal mark that they tell; as they are where one is no number."""
-    tokens = [text.strip() for text in texts.tolist()]
-    mark: Mark = "," if any(told_by(token) == "," for token in tokens) else "."
-    try:
-        return np.array([value_of(token, mark) for token in tokens])
-    except ValueError:
-        return texts
+def _numbers(name: str, cells: NDArray[Any]) -> Array:
+    """Cells as numbers, texts by the decimal mark that they tell. Raises InputError for the first that is none."""
+    tokens = [cell.strip() if isinstance(cell, str) else cell for cell in cells.tolist()]
+    mark: Mark = "," if any(isinstance(token, str) and told_by(token) == "," for token in tokens) else "."
+    numbers = np.full(len(tokens), np.nan)
+    for k, token in enumerate(tokens):
+        try:
+            numbers[k] = value_of(token, mark) if isinstance(token, str) else token
+        except (TypeError, ValueError):
+            raise InputError(FRAME, f"{array_row(k)}, column {name}", token, "a number, or NaN") from None
+    return numbers

@@ -70,11 +70,13 @@ def choose_sources(
     stated = mapping.columns if mapping is not None else {}
     quantities = {quantity.role: quantity for quantity in QUANTITIES[kind]}
 
+    lost: list[Quantity] = []
+
     def find(role: Role, *, by_name: bool = False, required: bool = True) -> Source | None:
         quantity = quantities[role]
         source = _source(path, table, quantity, stated.get(quantity.column), by_name=by_name)
         if source is None and required:
-            raise _missing(path, table, quantity, None)
+            lost.append(quantity)
         return source
 
     by_rate = mapping is not None and mapping.rate is not None
@@ -83,12 +85,11 @@ def choose_sources(
     position = find("position", by_name=True, required=False)
     is_unread = position is None and bool(_usual(table, "position"))
     asked = stated.get(quantities["velocity"].column)
-    if is_unread and (asked is None or asked.is_bare):
-        raise _missing(path, table, quantities["position"], None)
     velocity = find("velocity", by_name=position is None, required=False)  # without a position it is integrated
-    if (carrier := position or velocity) is None:
-        raise _missing(path, table, quantities["position"], None)
-    if not has_clock:
+    carrier = position or velocity
+    if carrier is None or (is_unread and (asked is None or asked.is_bare)):
+        lost.append(quantities["position"])
+    if not has_clock and carrier is not None:
         clock = table.clocks.get(carrier.column)
         time = find("time", by_name=True, required=not by_rate) if clock is None else None
         if clock is not None:
@@ -97,6 +98,8 @@ def choose_sources(
     force = find("force", by_name=True, required=friction is None)
     rest = (find(role, required=False) for role in ("acceleration", "temperature"))
     found = (time, position, force, velocity, friction, *rest)
+    if lost:
+        raise _missing(path, table, lost, None)
     return kind, tuple(source for source in found if source is not None)
 
 
@@ -236,7 +239,7 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
         if not found:
             if named is None:
                 return None
-            raise _missing(path, table, quantity, named)
+            raise _missing(path, table, [quantity], named)
         column, mapped = found[0], bare
     stamped = column.name in table.stamped
     if mapped is None or (bare is not None and mapped.unit is None and mapped.scale == 1.0):
@@ -261,10 +264,19 @@ def _line(quantity: Quantity, name: str, unit: str = "") -> str:
     return f'{quantity.column} = {{ variable = "{name}", unit = "{unit or "..."}"{needed} }}'
 
 
-def _missing(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None) -> InputError:
-    wanted = quantity.column
+def _missing(path: Path, table: Table, lost: Sequence[Quantity], mapped: LogColumn | None) -> InputError:
+    """The refusal of a table in which columns are missing, all of them at once; `mapped`: how [log] names one."""
+    names = ", ".join(quantity.column for quantity in lost)
+    wanted = " and ".join(f"a column {quantity.column}" for quantity in lost)
     if mapped is not None:
-        wanted = f"{mapped.description} (log.{quantity.column}) or {quantity.column}"
+        wanted = f"a column {mapped.description} (log.{names}) or {names}"
+    hints = "; ".join(_hint(table, quantity) for quantity in lost)
+    allowed = f"missing: {wanted}; the file has {_shown(table)}. {hints}"
+    return InputError(path, f"column{'s' if len(lost) > 1 else ''} {names}", None, allowed)
+
+
+def _hint(table: Table, quantity: Quantity) -> str:
+    """Return what [log] may say of a column that was not found."""
     if named := _usual(table, quantity.role):
         stated = _stated_unit(named[0], quantity)
         seen = f"in {stated}, which is none of {', '.join(quantity.allowed)}" if stated else "without a unit"
@@ -272,12 +284,9 @@ def _missing(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | N
         there = f"{named[0].name} is there" if is_one else f"{', '.join(c.name for c in named[:SHOWN])} are there"
         says = "says" if is_one else "says which"
         hint = f"{there} {seen}; [log] (machine file, --log) {says}: {_line(quantity, named[0].name)}"
-        hint += f"; or --unit {quantity.role}=UNIT" if is_one and not stated else ""
-    else:
-        hint = f"[log] (machine file, --log) says where it is: {_line(quantity, '...')}"
-        hint += "; where there is none it has rate = ... [Hz], as --rate" if quantity.role == "time" else ""
-    allowed = f"missing: a column {wanted}; the file has {_shown(table)}. {hint}"
-    return InputError(path, f"column {quantity.column}", None, allowed)
+        return hint + (f"; or --unit {quantity.role}=UNIT" if is_one and not stated else "")
+    hint = f"[log] (machine file, --log) says where it is: {_line(quantity, '...')}"
+    return hint + ("; where there is none it has rate = ... [Hz], as --rate" if quantity.role == "time" else "")
 
 
 def _mapped_column(path: Path, table: Table, quantity: Quantity, mapped: LogColumn) -> Column | None:

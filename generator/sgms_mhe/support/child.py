@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from sgms_mhe.support.errors import BuildError, InputError
+from sgms_mhe.support.errors import BuildError, InputError, speak_to_command_line
 
 _LOOKS_EVERY_S: Final = 0.5
 
@@ -42,7 +42,8 @@ def answer(call: Callable[..., Any], arguments: tuple[Any, ...]) -> Answer:
 
 def _sentence(error: Exception) -> str:
     if isinstance(error, InputError | BuildError):
-        return str(error)
+        with speak_to_command_line():  # a fleet's row has a machine file, and no Python argument
+            return str(error)
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{place}"
