@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,10 @@ import pytest
 
 from c_packages import Array, elements, machine, scheme
 from reference_cases import linear_model
-from sgms_mhe.configuration import load_machine
+from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, merge_tables
 from sgms_mhe.model import Model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -271,6 +272,70 @@ def test_full_run_of_the_experiment() -> None:
     reference = estimate_reference(settings, signals)
     assert len(reference.status) == 1999
     compare(compiled(settings).estimate(signals), reference)
+
+
+# --- as logs and files of an owner are ---------------------------------------------------------------------------
+
+PENDULUM: dict[str, Any] = {
+    "name": "pendulum",
+    "plant": {"kind": "rotary", "inertia": 0.11},
+    "friction": {
+        "law": "sgms",
+        "stiffness": [8000.0],
+        "fraction": [1.0],
+        "coulomb": 0.25,
+        "viscous": 0.0,
+        "stribeck_ratio": 0.0,
+        "stribeck_velocity": 1e-3,
+    },
+    "sampling": {"rate": 500.0, "update_rate": 100.0, "velocity_cutoff": 15.0, "max_velocity": 7.0},
+    "estimator": {"parameters": ["coulomb"], "noise": {"measurement": 0.3}},
+    "effects": [
+        {"name": "unbalance", "amplitude_Nm": 3.3, "phase_rad": -0.02},
+        {"name": "position_spring", "stiffness_Nm_rad": -0.15, "centre_rad": 0.5},
+    ],
+}
+"""As identification writes it: one element stiffer than the encoder shows, what hides in gravity as a small spring."""
+SOFTENING: dict[str, Any] = {
+    "friction": {"law": "switching", "stiffness": [8000.0, 2000.0], "fraction": [0.5, 0.5]},
+    "estimator": {"parameters": ["stiffness"]},
+}
+OWNERS: dict[str, tuple[dict[str, Any], float, float, int]] = {
+    "encoder of a low-cost drive": ({"estimator": {"bounds": {"coulomb": [0.3, 3.0]}}}, 3.8e-4, 0.1, 1),
+    "another record of it": ({}, 3.8e-4, 0.1, 3),
+    "jitter of half a step": ({}, 1e-4, 0.5, 1),
+    "coarse": ({}, 6e-3, 0.0, 1),
+    "fine": ({}, 5e-5, 0.0, 2),
+    "bound": ({"estimator": {"bounds": {"coulomb": [0.9, 1.1]}}}, 3.8e-4, 0.1, 1),
+    "level over speed": ({"friction": {"stribeck_ratio": 0.5, "stribeck_velocity": 0.3}}, 3.8e-4, 0.1, 1),
+    "stiffness through zero": (SOFTENING, 1e-4, 0.5, 11),
+}
+"""Changes, step of the encoder [rad], its jitter in steps, seed."""
+
+
+@functools.cache
+def swinging(step: float, jitter: float, seed: int) -> Log:
+    """A pendulum drive that swings from stop to stop, rests there, and logs a torque with a chatter."""
+    rng, time = np.random.default_rng(seed), np.arange(3000) / 500.0
+    q = 0.5 + 1.1 * np.clip(3.0 * np.sin(0.6 * np.pi * time) - 1.0, -2.0, 2.0)
+    v = np.gradient(q, time)
+    torque = 0.11 * np.gradient(v, time) + 3.3 * np.sin(q) + 0.25 * np.tanh(v / 0.02)
+    force = np.convolve(torque, np.full(15, 1.0 / 15.0), "same") + rng.normal(0.0, 0.3, len(time))
+    read = np.round(q / step + rng.normal(0.0, jitter, len(time))) * step
+    return Log(time_s=time, position_m=read, force_N=force, rate=500.0, kind="rotary")
+
+
+@pytest.mark.parametrize("case", list(OWNERS))
+def test_c_is_the_reference_over_what_an_owner_has(case: str) -> None:
+    """Intervals that slide have moved alike where they were linearised at one time: rounding chooses none of them."""
+    changes, *record = OWNERS[case]
+    settings = make_machine(merge_tables(PENDULUM, changes), Path("pendulum.toml"))
+    signals = signals_from_log(swinging(*record), settings)
+    reference = estimate_reference(settings, signals)
+    compare(compiled(settings).estimate(signals), reference)
+    assert len(reference) == 599 and np.ptp(reference.parameters, axis=0).max() > 0.02
+    if changes is SOFTENING:
+        assert np.any(reference.parameters[:, 0] < 0.0)
 
 
 # --- single precision --------------------------------------------------------------------------------------------

@@ -181,6 +181,20 @@ def test_the_interval_that_moved_most_is_linearised_anew() -> None:
         kept = renewed
 
 
+def test_of_intervals_that_have_moved_about_as_far_the_newest_is_linearised_anew() -> None:
+    model = build_model(with_integrator(variant(), scheme="rk4"))
+    record, x = slow_record(model)
+    theta = np.ones(4)
+    kept = kept_at(record, x, theta)
+    steps = np.zeros((6, 4))
+    steps[[0, 2, 4], 1] = 3.07, 3.02, 3.0
+    fresh = kept_at(record, x + steps * record.weights.move, theta)
+    for interval in (0, 4, 2, None):
+        renewed = renew(record, 0, kept, x + steps * record.weights.move, theta)
+        assert_renewed(renewed, kept, fresh, interval)
+        kept = renewed
+
+
 def test_ekf_is_the_kalman_filter_on_a_linear_model() -> None:
     model = linear_model(**noise())
     signals = linear_record(model)

@@ -33,6 +33,8 @@ IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution (docs/estimation.md)."""
 MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
+CLEARLY = 1.01
+"""How much farther an older interval has to have moved than a newer one, to be linearised anew in its stead."""
 LEAST_NOISE = 1e-6
 """Share of its variance that noise which comes with the path has without any."""
 PAUSE_PART = 0.25
@@ -172,7 +174,7 @@ class EmittedWeights:
         along_path: which states have their noise with the path; noise_length: along which it comes up to that [m], 0
             where there is none; least_noise: share of its variance without motion.
         inverse_move: of an interval's end before it is linearised anew, over the state noise, squared; where it
-            `moves_with_noise` over the state noise besides.
+            `moves_with_noise` over the state noise besides. clearly: how much farther an older one has to, squared.
     """
 
     measurement: float
@@ -192,6 +194,7 @@ class EmittedWeights:
     least_noise: float
     inverse_initial_state: tuple[float, ...]
     inverse_move: float
+    clearly: float
     moves_with_noise: bool
 
 
@@ -400,6 +403,7 @@ def _weights(model: Model, variant: Variant) -> EmittedWeights:
         least_noise=LEAST_NOISE,
         inverse_initial_state=tuple(1.0 / model.initial_state),
         inverse_move=(smoothing.lambda_ if smoothing else 1.0) / MOVE**2,
+        clearly=CLEARLY**2,
         moves_with_noise=smoothing is not None,
     )
 

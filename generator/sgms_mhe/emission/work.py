@@ -213,7 +213,7 @@ class _LeastSquares:
         n_x, n_p = sizes.states, sizes.parameters
         expand = 2 * n_x * (n_x + n_p) + back_substitution(n_x)
         if variant.relinearise == "auto":
-            expand += n_x * (2 * sizes.coupled + 2 * sizes.entered + 6) + 1
+            expand += n_x * (2 * sizes.coupled + 2 * sizes.entered + 6) + 2
         start = self.fold_start + self.drift + (2 * n_x + n_p if variant.fixed else 0)
         if variant.relinearise == "all":
             start += sizes.slots * sum(len(own) for own in sizes.block_states)

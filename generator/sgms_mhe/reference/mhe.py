@@ -10,7 +10,7 @@ from scipy.linalg import solve_triangular
 
 from sgms_mhe.reference.least_squares import solve_bounded, triangular_factor
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.reference.problem import NOT_FINITE, NodeRecord, Progress, UpdateStatus, estimates
+from sgms_mhe.reference.problem import CLEARLY, NOT_FINITE, NodeRecord, Progress, UpdateStatus, estimates
 from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling, fold
 from sgms_mhe.reference.window import (
     NoiseFactors,
@@ -150,12 +150,16 @@ def run_mhe(record: NodeRecord, progress: Progress | None = None) -> Estimates:
 def renew(record: NodeRecord, first: int, kept: StoredIntervals, x: Array, theta: Array) -> StoredIntervals:
     """Linearise the interval anew at (x, theta) whose end has moved most, if that is too far.
 
-    Of n intervals, at the nodes x (n, n_x) where they start.
+    Of n intervals, at the nodes x (n, n_x) where they start. From the newest on; an older one that has moved about as
+    far is none that has moved more.
     """
     moved = np.max(np.abs(kept.moves(x, theta)) / record.weights.move, axis=1, initial=0.0)
-    if not np.any(moved > 1.0):
+    k, farthest = None, 1.0
+    for i in reversed(range(len(moved))):
+        if moved[i] > farthest:
+            k, farthest = i, CLEARLY * moved[i]
+    if k is None:
         return kept
-    k = int(np.argmax(moved))
     start = x[k : k + 1]
     return kept.renew(k, StoredIntervals.of(start, theta, integrate(record, first + k, start, theta)))
 

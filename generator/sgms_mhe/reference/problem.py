@@ -25,6 +25,8 @@ HOLD_PART = 0.1
 IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution."""
 MOVE = 0.3
+CLEARLY = 1.01
+"""So many times as far as any newer one an interval has to have moved, to be linearised anew in its stead."""
 LEAST_NOISE = 1e-6
 """Share of its variance that the noise of a state with a length has where the axis stands."""
 REFUSED = -1
