@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from cli_cases import SMALL, done, files
 from sgms_bench.benchmark import running
 from sgms_bench.benchmark.figures import STYLES
-from sgms_bench.benchmark.harness import build_harness
+from sgms_bench.benchmark.harness import build_harness, instructions_of
 from sgms_bench.benchmark.integration_errors import SampledMotion, emitted_errors
 from sgms_bench.benchmark.peers import KINDS, Kind, PeerEvaluation, PeerExport
 from sgms_bench.benchmark.running import Bench, fitted_exponents, set_elements
@@ -79,6 +79,27 @@ def test_harness_compiles_without_a_warning(
 ) -> None:
     monkeypatch.setenv("CC", require_tool(compiler))
     build_harness(machine, package, [*DEFAULT_FLAGS, *WARNING_FLAGS])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("compiler", "flags"), [("gcc", "-O2"), ("clang", "-O2"), ("gcc", "-O3 -mavx2")])
+def test_what_a_compiler_gets_is_the_form_of_fewer_instructions(
+    compiler: str, flags: str, monkeypatch: pytest.MonkeyPatch, require_tool: Callable[[str], str]
+) -> None:
+    """Without a word from the build; and both forms print the same, to the bit."""
+    monkeypatch.setenv("CC", require_tool(compiler))
+    require_tool("valgrind")
+    axis = load_machine("etel_xy")
+    package, words = emit_package(axis, selftest=False), ["-std=c99", "-ffp-contract=off", *flags.split()]
+    counts, printed = [], set()
+    for forced in ([], ["-DSGMS_VECTORS=0"], ["-DSGMS_VECTORS=1"]):
+        command = [str(build_harness(axis, package, [*words, *forced])), "--motion", "60"]
+        printed.add(ran(*command).stdout)
+        found = instructions_of(command, "harness_update")
+        assert found is not None
+        counts.append(found[20:].sum())
+    assert len(printed) == 1
+    assert counts[0] == min(counts) < 0.95 * max(counts)
 
 
 def test_harness_replays_a_log_as_the_estimator_does(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +21,7 @@ from sgms_mhe.support.errors import InputError
 Tool = Callable[[str], str]
 
 # The page's functions are called by a firmware; a prototype is all they lack here.
-PROTOTYPES = "int start(void);\ndouble fast_task(double, double);\nvoid slow_task(void);\n"
+PROTOTYPES = "int start(void);\nREAL fast_task(int64_t, REAL);\nvoid slow_task(void);\n"
 MOTION = """
 #include <stdio.h>
 int main(void)
@@ -28,7 +29,7 @@ int main(void)
     int status = start();
     for (long k = 0; k <= 6000 && status == 0; k++) {
         const double forth = (double)((k / 1500) % 2 ? 1500 - k % 1500 : k % 1500) / 1500.0;
-        printf("%.17g\\n", fast_task(0.3 + 1e-3 * forth, (k / 1500) % 2 ? -4.0 : 4.0));
+        printf("%.17g\\n", (double)fast_task((int64_t)((0.3 + 1e-3 * forth) * COUNTS), (k / 1500) % 2 ? -4 : 4));
         SLOW_TASK
     }
     return status;
@@ -65,12 +66,14 @@ def test_lines_of_the_page_compile_and_both_ways_say_the_same(kind: str, require
     one, two, ask, cycle = blocks(package)
     name, folder, said = package.machine.name, written(package, tmp_path), []
     # The page says `start` as above: the block above, with its fast task under another name.
-    above = f"#define fast_task unused_fast_task\n{PROTOTYPES}{one}#undef fast_task\n"
+    counts = 2**20 / math.tau if kind == "rotary" else 1e9
+    prototypes = f'#include "{name}.h"\n#define COUNTS {counts}\n' + PROTOTYPES.replace("REAL", f"{name}_real")
+    above = f"#define fast_task unused_fast_task\n{prototypes}{one}#undef fast_task\n"
     question = f"int ask({name}_estimate_t *estimate);\n{ask}"
     question += f"int after_power_on({name}_saved_t *);\nint before_power_off({name}_saved_t *);\n{cycle}"
     programs = {
-        "one": (PROTOTYPES + one + question + MOTION, ""),
-        "two": (above + PROTOTYPES + two + MOTION, "if (k % 100 == 40) slow_task();"),
+        "one": (prototypes + one + question + MOTION, ""),
+        "two": (above + prototypes + two + MOTION, "if (k % 100 == 40) slow_task();"),
     }
     for title, (text, slow) in programs.items():
         source, program = tmp_path / f"{title}.c", tmp_path / title

@@ -66,10 +66,11 @@ class Counter:
             text = re.sub(r"typedef (?:double|float) (\w*_real);", r"typedef counted \1;", path.read_text())
             text = re.sub(r"__builtin_fabsf?\(", "counted_fabs(", text)
             text = re.sub(r"(#define INVERSE_MOVE) \S+", r"\1 1e30", text)  # every interval has moved too far
-            path.write_text(text.replace("#define SGMS_VECTORS 1", "#define SGMS_VECTORS 0"))
+            path.write_text(text)
         number = {"double": "double", "single": "float"}[code.precision]
         definitions = [
             f"-DCOUNTED_NUMBER={number}",
+            "-DSGMS_VECTORS=0",
             f"-DSGMS_MACHINE={name}",
             f'-DSGMS_MACHINE_SOURCE="{name}.c"',
             f"-DHAS_UNITS={int(package.machine.estimator.kind == 'mhe')}",

@@ -43,7 +43,7 @@ UPDATES = 500
     show_default=True,
     help="Updates to time.",
 )
-@flags_option("-std=c99 -O3 -ffp-contract=off")
+@flags_option("-std=c99 -O3 -ffp-contract=off -DSGMS_VECTORS=1")
 @click.option("--quick", is_flag=True, help="A minute: the machine as it is written, and the peers, on one motion.")
 @out_option("Folder for the figures, as PNG and SVG, and the numbers, as JSON.", metavar="DIR", required=False)
 @json_option
