@@ -9,7 +9,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -278,6 +278,29 @@ def test_arithmetic_that_no_macro_tells_of_is_noticed(
         assert check == first == update == after == STATUS_ARITHMETIC and selftest > 0 and fed == 0
 
 
+STATUS_UNSTARTED, STATUS_REFUSED = -7, -5
+RIPPLE: Mapping[str, Any] = {"name": "force_ripple", "amplitude_N": 0.6, "pitch_m": 0.004}
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("estimator", [{"horizon": 3}, {"horizon": 3, "relinearise": "auto"}, {"kind": "ekf"}])
+def test_memory_without_init_is_no_axis(
+    estimator: Mapping[str, Any], precision: str, require_tool: Tool, tmp_path: Path
+) -> None:
+    """Every call returns 0 or UNSTARTED, and what it saves is taken by nobody; init then starts an axis."""
+    settings = machine(estimator=estimator, code={"precision": precision}, effects=[RIPPLE])
+    package = emit_package(settings)
+    header = re.search(r"HEADER 0x(\w+)u", package.files["etel_xy.h"])
+    assert header is not None and len(set(re.findall("..", header[1]))) > 1, "a byte repeated: memory may be full of it"
+    folder = written(package, tmp_path)
+    command = [require_tool("gcc"), "-std=c99", "-O1", "-DHAS_ORIGIN", f"-I{folder}", *replay_definitions("etel_xy")]
+    run(command, PROBES / "unstarted.c", folder / "etel_xy.c", "-lm", "-o", tmp_path / "program")
+    for line in run(tmp_path / "program").splitlines():
+        *statuses, largest, loaded, first = line.split()
+        assert set(map(int, statuses)) == {STATUS_UNSTARTED} and len(statuses) == 16, line
+        assert (float(largest), int(loaded), int(first)) == (0.0, STATUS_REFUSED, 1), line
+
+
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("compiler", ["gcc", "clang", "arm-none-eabi-gcc"])
 def test_library_is_asked_for_three_functions_of_memory_alone(
@@ -370,7 +393,7 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
 
 STATUSES = (
     *("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN"),
-    *("EARLY", "NUMERIC", "OVERLAP", "MISMATCH", "REFUSED", "STALE", "ARITHMETIC"),
+    *("EARLY", "NUMERIC", "OVERLAP", "MISMATCH", "REFUSED", "STALE", "ARITHMETIC", "UNSTARTED"),
 )
 
 
@@ -893,12 +916,13 @@ def test_status_texts(axis: Any) -> None:
         ("MISMATCH", "another header"),
         ("REFUSED", "out of range"),
         ("ARITHMETIC", "does not compute"),
+        ("UNSTARTED", "has not set"),
     ):
         assert word in texts[name]
     # Sums say their gravest part, and every number has a text.
     assert estimator.c.probe_status_text(1 + 4).decode() == texts["HOLD"]
     assert estimator.c.probe_status_text(2 + 8 + 16).decode() == texts["SPEED"]
-    for flags in itertools.chain(range(-6, 64), (-(2**31), 2**31 - 1)):
+    for flags in itertools.chain(range(-7, 64), (-(2**31), 2**31 - 1)):
         assert estimator.c.probe_status_text(flags)
 
 

@@ -20,7 +20,7 @@ typedef CALL(estimate_t) machine_estimate;
 typedef CALL(settings_t) machine_settings;
 typedef CALL(saved_t) machine_saved;
 
-/* What statuses may be: a sum of these flags, or one of five refusals. */
+/* What statuses may be: a sum of these flags, or one of six refusals. */
 enum {
     FLAGS = CONSTANT(FILLING) + CONSTANT(MISSING) + CONSTANT(HOLD) + CONSTANT(BOUND) + CONSTANT(SPEED) +
     CONSTANT(OVERRUN) + CONSTANT(DOUBT) + CONSTANT(STALE)
@@ -29,7 +29,8 @@ enum {
 static inline int is_status(int status)
 {
     return (status >= 0 && (status & ~FLAGS) == 0) || status == CONSTANT(EARLY) || status == CONSTANT(NUMERIC) ||
-           status == CONSTANT(OVERLAP) || status == CONSTANT(REFUSED) || status == CONSTANT(ARITHMETIC);
+           status == CONSTANT(OVERLAP) || status == CONSTANT(REFUSED) || status == CONSTANT(ARITHMETIC) ||
+           status == CONSTANT(UNSTARTED);
 }
 
 /* A motion that a healthy axis makes, sample k of it: loops of some hundred hold paths and back, at a few rates. */

@@ -191,7 +191,7 @@ FAULTS: Final = (
     Fault("invalid friction taken", C, "good && signals->valid && sgms_is_reading", "good && sgms_is_reading"),
     Fault("another header accepted", C, " || header != NAME_HEADER) {", ") {"),
     Fault("another size accepted", C, "if (size != sizeof(<name>_t) || header", "if (header"),
-    Fault("update without numbers of IEEE 754", C, "if (phase == UNSOUND) {", "if (phase == 9u) {"),
+    Fault("calls of an axis that may not compute", C, "calls.mark == NAME_HEADER", "calls.mark != 0u"),
     Fault("parameters' noise wrong", CONFIG, "prior_sd[PARAMETERS] = {0.4,", "prior_sd[PARAMETERS] = {0.5,"),
     Fault("measurement noise wrong", CONFIG, "#define MEASUREMENT_SD 0.1 ", "#define MEASUREMENT_SD 0.2 "),
     Fault("wild measurements count as others", CONFIG, "#define RATIO_FREE 9.0", "#define RATIO_FREE 9e9"),

@@ -77,7 +77,7 @@ def variant_of(model: Model) -> Variant:
 
 
 REFUSALS: Final[Mapping[str, int]] = MappingProxyType(
-    {"early": -1, "numeric": -2, "overlap": -3, "mismatch": -4, "refused": -5, "arithmetic": -6}
+    {"early": -1, "numeric": -2, "overlap": -3, "mismatch": -4, "refused": -5, "arithmetic": -6, "unstarted": -7}
 )
 """Statuses by which a call is refused."""
 
@@ -152,6 +152,10 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
         "arithmetic": (
             "numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding",
             "Do not start. Compile without options that relax arithmetic; leave flush-to-zero off.",
+        ),
+        "unstarted": (
+            "init() has not set this memory up: nothing is taken in, all numbers are 0",
+            "Call init before any other call.",
         ),
     }
     values = {**FLAGS, "stale": STALE, **REFUSALS}
