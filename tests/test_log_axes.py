@@ -311,7 +311,7 @@ def test_a_wrap_of_a_unit_with_a_number_keeps_the_number(tmp_path: Path) -> None
     ticks = 40.0 * log.position_m * 180e3 / np.pi
     columns = {"t [s]": log.time_s, "q [0.001 deg]": np.mod(ticks, 360e3), "M [Nm]": log.force_N}
     path = write(tmp_path / "log.csv", **columns)
-    with pytest.raises(InputError, match=r'unit = "deg", scale = 0\.001, wrap = 360000 \}'):
+    with pytest.raises(InputError, match=r'unit = "deg", scale = 0\.001, wrap = 360000\.0 \}'):
         read_log(path)
     table = {"position_rad": {"variable": "q [0.001 deg]", "unit": "deg", "scale": 0.001, "wrap": 360e3}}
     for stated in (table, {"position_rad": {"wrap": 360e3}}):

@@ -496,5 +496,5 @@ def test_a_compressed_text_that_no_memory_holds_is_refused(tmp_path: Path, monke
 
 
 def test_another_compressed_format_is_refused_by_name(tmp_path: Path) -> None:
-    (tmp_path / "log.mat.gz").write_bytes(gzip.compress(b"x"))
-    assert "texts also with .gz after it" in refused("inspect", tmp_path / "log.mat.gz")
+    (tmp_path / "log.mat.gz").write_bytes(gzip.compress(b"MATLAB\x00\x01"))
+    assert "needs its own suffix" in refused("inspect", tmp_path / "log.mat.gz")

@@ -155,8 +155,10 @@ def test_measurement_files_of_labview_are_read(form: str, comment: str, tmp_path
     np.testing.assert_array_equal(found.time_s, columns["time_s"])
 
 
-def test_a_measurement_file_without_times_needs_a_rate(tmp_path: Path) -> None:
+def test_a_measurement_file_without_times_states_their_step_or_needs_a_rate(tmp_path: Path) -> None:
     path = labview(tmp_path / "log.lvm", motion(7), "No")
+    assert read_log(path, note=lambda _: None).rate == pytest.approx(250.0)
+    path.write_text(path.read_text().replace("Delta_X", "Other"))
     shown = inspect_log(path, None, None)
     assert isinstance(shown, Unread) and shown.missing == ("time_s",) and "as --rate" in shown.problems[0]
     assert run("inspect", path, "--rate", "250").exit_code == 0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from cli_cases import run
-from sgms_bench.logs.layouts import Channel, control_desk, events, long_rows, scope
+from sgms_bench.logs.layouts import Channel, ScopeChannel, control_desk, events, long_rows, named_values, scope
 from sgms_mhe.api.inputs import read_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -34,16 +34,87 @@ def motion(seed: int, rate: float, seconds: float = 3.0) -> Log:
 # --- scope exports ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("paired", [True, False])
+def grouped(channels: Sequence[ScopeChannel], *sizes: int) -> list[Sequence[ScopeChannel]]:
+    """Groups of so many channels."""
+    rest = iter(channels)
+    return [[next(rest) for _ in range(size)] for size in sizes]
+
+
+@pytest.mark.parametrize("sizes", [(1, 1, 1), (3,), (2, 1), (1, 2)])
 @pytest.mark.parametrize(("separator", "mark"), [("\t", ","), ("\t", "."), (";", ","), (";", "."), (",", ".")])
-def test_key_rows_are_understood(paired: bool, separator: str, mark: str, tmp_path: Path) -> None:
-    log = motion(1, 2000.0)
-    at = 1e3 * log.time_s
-    channels = [("ActPos", "mm (Millimeter)", at, 1e3 * log.position_m), ("ActForce", "N (Newton)", at, log.force_N)]
-    found = read_log(scope(tmp_path / "scope.csv", channels, paired=paired, separator=separator, mark=mark))
-    assert found.rate == pytest.approx(2000.0)
+@pytest.mark.parametrize("keys", [(), ("Offset", "ScaleFactor", "IndexGroup", "IndexOffset", "VariableSize", "Factor")])
+def test_key_rows_are_understood(
+    sizes: tuple[int, ...], separator: str, mark: str, keys: Sequence[str], tmp_path: Path
+) -> None:
+    """Rows of a key and a number stand between the units and the samples: taken for samples, nothing was read."""
+    log, slow = motion(1, 2000.0), motion(1, 1000.0)
+    at, other = 1e3 * log.time_s, log if len(sizes) == 1 or sizes[-1] == 2 else slow
+    channels = [
+        ("ActPos", "mm (Millimeter)", at, 1e3 * log.position_m),
+        ("Temperature", "(None)", 1e3 * other.time_s, other.force_N),
+        ("ActForce", "N (Newton)", 1e3 * other.time_s, 100.0 * other.position_m),
+    ]
+    if sizes[0] == 2:  # the second of the group of position
+        channels[1] = ("Temperature", "(None)", at, log.force_N)
+    numbers = [(key, ["0" if key == "Offset" else "1"] * 3) for key in keys]
+    path = scope(tmp_path / "s.csv", grouped(channels, *sizes), separator=separator, mark=mark, keys=numbers, blank=" ")
+    notes: list[str] = []
+    found = read_log(path, note=notes.append)
+    assert found.rate == pytest.approx(2000.0) and len(found) == len(log)
     assert found.position_m == pytest.approx(log.position_m, abs=1e-12)
-    assert found.force_N == pytest.approx(log.force_N, abs=1e-9)
+    assert found.force_N[:-1] == pytest.approx(100.0 * log.position_m[:-1], abs=2e-3)
+    assert "EOF" in notes[0] and len(notes) == 1 + (other is slow)
+
+
+def test_keys_in_any_order_and_pairs_of_other_words_are_understood(tmp_path: Path) -> None:
+    log = motion(12, 500.0)
+    rows = ["Unit,rad,Unit,Nm", "Timestamp,2024-01-02 03:04:05,Timestamp,2024-01-02 03:04:05"]
+    rows += ["Interval,0.002,Interval,0.002", "Gain,1,Gain,1", 'Channel name,"Position",Channel name,"Torque"']
+    clocks = [f"{t:.3f}" for t in log.time_s], [""] * len(log)
+    for order in (rows, rows[::-1], [*rows[2:], *rows[:2]]):
+        for clock in clocks:  # times that stand there, and such that are counted
+            samples = zip(clock, log.position_m, clock, log.force_N, strict=True)
+            lines = [f"{t},{x:.12g},{at},{f:.12g}" for t, x, at, f in samples]
+            (tmp_path / "log.csv").write_text("\n".join([*order, *lines]))
+            found = read_log(tmp_path / "log.csv")
+            assert (found.rate, found.kind, len(found)) == (pytest.approx(500.0), "rotary", len(log))
+            assert found.force_N == pytest.approx(log.force_N, abs=1e-9)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".t", ".csv"])
+@pytest.mark.parametrize(("mark", "step_ns"), [(",", 1e6), (".", 50_000.0)])
+@pytest.mark.parametrize("separator", [" ", "\t"])
+def test_rows_of_names_and_values_are_columns(
+    suffix: str, mark: str, step_ns: float, separator: str, tmp_path: Path
+) -> None:
+    log, notes = motion(13, 1000.0), list[str]()
+    channels = [("joint.0.torque-fb", log.force_N), ("joint.0.motor-pos-fb", 1e3 * log.position_m)]
+    path = named_values(tmp_path / f"scope{suffix}", step_ns, channels, mark)
+    path.write_text(
+        path.read_text().replace("nSec", "nsec") if separator == " " else path.read_text().replace(" ", "\t")
+    )
+    table = {"position_m": {"unit": "mm"}, "force_N": {"unit": "%", "scale": 10.0}}
+    found = read_log(path, table=table, note=notes.append)
+    assert found.rate == pytest.approx(1e9 / step_ns) and len(found) == len(log)
+    assert found.force_N == pytest.approx(10.0 * log.force_N, abs=1e-9)
+    assert len(notes) == 1 and f"counted in the step of {step_ns:g} ns that the file states" in notes[0]
+    lines = path.read_text().splitlines()
+    lines[-1] = lines[-1].replace("torque", "force")
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError):  # a name that changes names no column
+        read_log(path, table=table)
+
+
+@pytest.mark.parametrize("name", ["ms", "[ms]", "( ms )"])
+def test_a_column_with_a_unit_of_time_for_a_name_is_time(name: str, tmp_path: Path) -> None:
+    log, path = motion(14, 500.0), tmp_path / "log.csv"
+    rows = [f"{1e3 * t:g},{x:.9g},{f:.9g}" for t, x, f in zip(log.time_s, log.position_m, log.force_N, strict=True)]
+    path.write_text("\n".join(["Interval(ms),2", "Time,Analog 1,Analog 2", f"{name},Position(m),Force(N)", *rows]))
+    assert read_log(path).rate == pytest.approx(500.0)
+    shown = json.loads(run("inspect", path, "--json").stdout)
+    assert shown["columns"][0] | {"because": "unit alone", "unit": "ms"} == shown["columns"][0]
+    path.write_text("\n".join([f"{name},t [ms],Position(m),Force(N)", *(f"7,{row}" for row in rows)]))
+    assert read_log(path).rate == pytest.approx(500.0)  # one that is called time comes first
 
 
 @pytest.mark.parametrize("unit", ["ms", "us", "s"])
@@ -51,7 +122,7 @@ def test_the_key_of_the_step_says_the_unit_of_time(unit: str, tmp_path: Path) ->
     log = motion(2, 500.0)
     at = log.time_s * {"ms": 1e3, "us": 1e6, "s": 1.0}[unit]
     channels = [("ActPos", "mm", at, 1e3 * log.position_m), ("Force", "N", at, log.force_N)]
-    path = scope(tmp_path / "scope.csv", channels, paired=True)
+    path = scope(tmp_path / "scope.csv", grouped(channels, 1, 1))
     path.write_text(path.read_text().replace("SampleTime[ms]", f"SampleTime[{unit}]"))
     assert read_log(path).rate == pytest.approx(500.0)
 
@@ -64,12 +135,12 @@ def test_channels_with_clocks_of_their_own_are_put_on_that_of_position(longer: i
         ("ActPos", "mm", 1e3 * log.time_s, 1e3 * log.position_m),
     ]
     notes: list[str] = []
-    found = read_log(scope(tmp_path / "scope.csv", channels, paired=True), note=notes.append)
+    found = read_log(scope(tmp_path / "scope.csv", grouped(channels, 1, 1)), note=notes.append)
     assert len(found) == len(log) and found.position_m == pytest.approx(log.position_m, abs=1e-12)
     inside = log.time_s <= slow.time_s[-1]
     assert found.force_N[inside] == pytest.approx(100.0 * log.position_m[inside], abs=2e-3)
     assert np.isnan(found.force_N[log.time_s > slow.time_s[-1] + 0.003]).all()
-    assert len(notes) == 1 and "force_N: sampled at other times than position" in notes[0]
+    assert len(notes) == 2 and "force_N: sampled at other times than position" in notes[1]
 
 
 def test_scales_in_key_rows_are_taken_and_said(tmp_path: Path) -> None:
@@ -77,9 +148,9 @@ def test_scales_in_key_rows_are_taken_and_said(tmp_path: Path) -> None:
     at = 1e3 * log.time_s
     channels = [("ActPos", "mm", at, np.round(1e6 * log.position_m)), ("Force", "N", at, log.force_N)]
     keys = [("Offset", ["0", "0"]), ("ScaleFactor", ["0.001", "1"])]
-    found = read_log(scope(tmp_path / "scope.csv", channels, paired=True, keys=keys), note=notes.append)
+    found = read_log(scope(tmp_path / "scope.csv", grouped(channels, 1, 1), keys=keys), note=notes.append)
     assert found.position_m == pytest.approx(log.position_m, abs=1e-6)
-    assert len(notes) == 1 and "ActPos: taken times 0.001 plus 0" in notes[0]
+    assert len(notes) == 2 and "ActPos: taken times 0.001 plus 0" in notes[1]
 
 
 def test_a_header_with_a_row_of_units_is_no_key_rows(tmp_path: Path) -> None:

@@ -192,7 +192,9 @@ FILES = {
         text(columns={1: WRAPPED}),
         near_table={"position_m": {"variable": "position_m", "unit": "m", "wrap": 0.5}},
     ),
-    "an unknown suffix": Refused(text(), "one of the suffixes", text(), suffix=".xyz"),
+    "another format with a suffix of its own": Refused(
+        b"PK\x03\x04 a sheet", "text; .*own suffix", text(), suffix=".t"
+    ),
     "an encoding that it is not": Refused(
         text().encode("latin-1") + "# Ger\xe4t\n".encode("latin-1"),
         "utf-8 text",

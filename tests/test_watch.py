@@ -579,7 +579,7 @@ def test_logs_that_are_none_are_refused_and_touch_nothing(small: Path, tmp_path:
     out = tmp_path / "e.csv"
     out.write_text("kept")
     assert "absent.csv" in refused("watch", small, tmp_path / "absent.csv", "--follow", "--out", out)
-    assert "suffixes" in refused("watch", small, tmp_path / "log.xyz", "--follow", "--out", out)
+    assert "a text" in refused("watch", small, tmp_path / "log.jsonl", "--follow", "--out", out)
     (tmp_path / "wrong.csv").write_bytes(rows(100, lambda k: f"{k};{k};{k}", "t;x;F"))
     (tmp_path / "short.csv").write_bytes(b"\n".join(lines_of(trace(), tmp_path).splitlines()[:20]))
     for name, message in (("wrong.csv", "without a unit"), ("short.csv", "at least 21")):

@@ -11,7 +11,8 @@ from sgms_bench.logs.faults import Case
 
 CLAIMS: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
     (r"where it starts over", ("wraps",)),
-    (r"such jumps|jumps by", ("wraps",)),
+    (r"such jumps|jumps by", ("wraps", "unsigned")),
+    (r"signed number of", ("unsigned",)),
     (r"scale = -1|of the position's sign|drives the axis|drives the motion|the other sign", ("turned",)),
     (r"in which the axis moves|hardly moves", ("still",)),
     (r"every row = .*that changes", ("constant",)),

@@ -243,6 +243,27 @@ def _wrap_position(recorder: Recorder, rng: Rng) -> Case:
     )
 
 
+def _unsigned(recorder: Recorder, rng: Rng) -> Case:
+    """A register with a sign that is recorded as if it had none."""
+    log, bits = recorder.truth.log, int(rng.choice((8, 16, 32)))
+    factor = recorder.kind_units["force"][recorder.units["force"]]
+    size = rng.uniform(0.03, 0.12) * 2.0 ** min(bits, 16)
+    counts = np.round(size * log.force_N / np.abs(log.force_N).max())
+    case = _case(recorder, {"force": recorder.channel("force", np.mod(counts, 2.0**bits) * factor)})
+
+    def write(folder: Path) -> object:
+        return (folder / SIGNED).write_text(f"[log]\n{recorder.own('force')} = {{ signed = {bits} }}\n")
+
+    return replace(
+        case,
+        beside=write,
+        facts=frozenset({"unsigned"}),
+        refusal=rf"jumps by .*signed = {bits} ",
+        remedy=("--log", SIGNED),
+        expected=replace(log, force_N=counts * factor),
+    )
+
+
 def _turn_force(recorder: Recorder, rng: Rng) -> Case:
     log = recorder.truth.log
     case = _case(recorder, {"force": recorder.channel("force", -log.force_N)})
@@ -402,6 +423,7 @@ def _one_way(recorder: Recorder, rng: Rng) -> Case:
 
 RESAMPLE: Final = "resample.toml"
 CLOCK: Final = "clock.toml"
+SIGNED: Final = "signed.toml"
 
 FAULTS: Final[Mapping[str, Fault]] = {
     "none": _nothing,
@@ -416,6 +438,7 @@ FAULTS: Final[Mapping[str, Fault]] = {
     "missing rows": _missing_rows,
     "missing values": _missing_values,
     "wrap": _wrap_position,
+    "force unsigned": _unsigned,
     "force turned": _turn_force,
     "force constant": _other_scale,
     "swapped": _swap,

@@ -14,7 +14,17 @@ import numpy as np
 from scipy.io import savemat
 
 from sgms_bench.logs.dialects import PREAMBLE, START, SUMMARY, comment_rows
-from sgms_bench.logs.layouts import Channel, comma, control_desk, digits, events, long_rows, scope, simulink_scope
+from sgms_bench.logs.layouts import (
+    Channel,
+    comma,
+    control_desk,
+    digits,
+    events,
+    long_rows,
+    named_values,
+    scope,
+    simulink_scope,
+)
 from sgms_bench.logs.layouts import write_text as write_table
 
 Channels = Sequence[Channel]
@@ -146,13 +156,29 @@ def _mdf(path: Path, channels: Channels) -> None:
         file.save(path, overwrite=True)
 
 
-def _scope(separator: str, mark: str, *, paired: bool) -> Callable[[Path, Channels], object]:
+def _scope(separator: str, mark: str, *sizes: int) -> Callable[[Path, Channels], object]:
+    """Writer of a scope's export; `sizes` of the first groups, the last has the rest."""
+
     def write(path: Path, channels: Channels) -> object:
         clock, *others = channels
         shown = [(channel.name, channel.unit, clock.values, channel.values) for channel in others]
-        return scope(path, shown, paired=paired, separator=separator, mark=mark)
+        ends = [0, *sizes, len(shown)]
+        groups = [group for k, end in enumerate(ends[1:]) if (group := shown[ends[k] : end])]
+        return scope(path, groups, separator=separator, mark=mark)
 
     return write
+
+
+def _pins(path: Path, channels: Channels) -> object:
+    clock, *others = channels
+    stated = [(name_channel(channel, "brackets").replace(" ", "_"), channel.values) for channel in others]
+    return named_values(path, 1e9 * float(clock.values[1] - clock.values[0]), stated, ",")
+
+
+def _unit_of_time(path: Path, channels: Channels) -> object:
+    """A table whose first column has its unit for a name."""
+    names = [channels[0].unit, *(name_channel(channel, "brackets") for channel in channels[1:])]
+    return write_table(path, names, [channel.values for channel in channels])
 
 
 def _long(path: Path, channels: Channels) -> object:
@@ -200,8 +226,12 @@ FORMATS: Final[Mapping[str, Format]] = {
     "HDF5": Format(".h5", _hdf5, has_units=True, library="h5py"),
     "Parquet": Format(".parquet", _parquet, has_units=True, library="pyarrow"),
     "MDF 4": Format(".mf4", _mdf, has_units=True, clock="s", is_free=False, library="asammdf"),
-    "scope, pairs": Format(".csv", _scope("\t", ",", paired=True), has_units=True, clock="ms", is_free=False),
-    "scope, one time": Format(".csv", _scope(";", ".", paired=False), has_units=True, clock="ms", is_free=False),
+    "scope, pairs": Format(".csv", _scope("\t", ",", 1, 2, 3), has_units=True, clock="ms", is_free=False),
+    "scope, one time": Format(".csv", _scope(";", "."), has_units=True, clock="ms", is_free=False),
+    "scope, groups": Format(".csv", _scope(",", ".", 1), has_units=True, clock="ms", is_free=False),
+    "names in rows": Format(".log", _pins, has_units=True, clock="s", is_free=False),
+    "unit of time for a name": Format(".csv", _unit_of_time, has_units=True, clock="ms"),
+    "a suffix that says nothing": Format(".t", _text("\t")),
     "long format": Format(".csv", _long, has_units=True, clock="s", is_free=False),
     "MAT, ControlDesk": Format(".mat", _desk, has_units=True, clock="s", is_free=False),
     "MAT, Simulink Scope": Format(".mat", _simulink, has_units=True, clock="s", is_free=False),

@@ -59,40 +59,57 @@ def write_text(
     return path
 
 
+ScopeChannel = tuple[str, str, Array, Array]
+"""Name, unit, times [ms], values."""
+
+
 def scope(
     path: Path,
-    channels: Sequence[tuple[str, str, Array, Array]],
+    groups: Sequence[Sequence[ScopeChannel]],
     *,
-    paired: bool,
     separator: str = "\t",
     mark: str = ".",
     keys: Sequence[tuple[str, Sequence[str]]] = (),
+    blank: str = "",
 ) -> Path:
-    """Write the export of a scope; channels are (name, unit, times [ms], values)."""
-    steps = digits([float(at[1] - at[0]) for _, _, at, _ in channels], mark)
+    """Write the export of a scope: the channels of a group share the times of its first; `blank` stands behind its end.
+
+    `keys` are further rows of a key and a cell for each channel, the upper ones first.
+    """
+    channels = [channel for group in groups for channel in group]
     stated = [
         ("Name", [name for name, *_ in channels]),
         ("SymbolComment", [""] * len(channels)),
         ("Data-Type", ["REAL64"] * len(channels)),
-        ("SampleTime[ms]", steps),
+        ("SampleTime[ms]", digits([float(at[1] - at[0]) for _, _, at, _ in channels], mark)),
         ("Port", ["501"] * len(channels)),
         *keys,
         ("Unit", [unit for _, unit, *_ in channels]),
+        ("Unit ScaleFactor", ["1"] * len(channels)),
+        ("Unit Offset", ["0"] * len(channels)),
     ]
     lines = [["Name", "project"], ["Start of export", "132959733843760000", "Monday, 2 May 2022", "15:56:24.376"]]
     lines += [["End of export", "132959733853750000", "Monday, 2 May 2022", "15:56:28.376"], [], []]
     for key, values in stated:
-        lines.append([part for value in values for part in (key, value)] if paired else [key, *values])
+        cells = iter(values)
+        lines.append([cell for group in groups for cell in (key, *(next(cells) for _ in group))])
     lines.append([])
-    columns = [column for _, _, at, values in channels for column in (digits(at, mark), digits(values, mark))]
-    if not paired:
-        columns = [columns[0], *columns[1::2]]
+    blocks = [[group[0][2], *(values for *_, values in group)] for group in groups]
+    columns = [digits(column, mark) for block in blocks for column in block]
     for k in range(max(map(len, columns))):
-        row = [column[k] if k < len(column) else "" for column in columns]
-        while len(columns) > 2 and not row[-1] and k % 2:  # some writers leave the last separators out
+        row = [column[k] if k < len(column) else blank for column in columns]
+        while row[-1] == blank and k % 2:  # some writers leave the last separators out
             row.pop()
         lines.append(row)
-    path.write_bytes("".join(separator.join(line) + "\r\n" for line in lines).encode("utf-8"))
+    path.write_bytes("".join(separator.join(line) + "\r\n" for line in [*lines, ["EOF"]]).encode("utf-8"))
+    return path
+
+
+def named_values(path: Path, step_ns: float, channels: Sequence[tuple[str, Array]], mark: str = ".") -> Path:
+    """Write rows of names and values below the step of time, as oscilloscopes of machine controls do."""
+    cells = [[f"{name} {value} " for value in digits(values, mark)] for name, values in channels]
+    lines = [f"Sampling period is {step_ns:.0f} nSec ", "", *map("".join, zip(*cells, strict=True)), ""]
+    path.write_text("\n".join(lines))
     return path
 
 

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 from sgms_bench.logs.cases import Rng, draw_truth
 from sgms_bench.logs.claims import false_sentences, is_judged
-from sgms_bench.logs.faults import CLOCK, FAULTS, RESAMPLE, TRUTHS, Case, Recorder, can_have, draw_recorder
+from sgms_bench.logs.faults import CLOCK, FAULTS, RESAMPLE, SIGNED, TRUTHS, Case, Recorder, can_have, draw_recorder
 from sgms_bench.logs.formats import FORMATS
 from sgms_mhe.api.inputs import read_log
 from sgms_mhe.cli import cli
@@ -137,7 +137,7 @@ class Trial:
         return self.folder / "drawn.toml"
 
     def _locate(self, options: Sequence[str]) -> tuple[str, ...]:
-        return tuple(str(self.folder / o) if o in (RESAMPLE, CLOCK) else o for o in options)
+        return tuple(str(self.folder / o) if o in (RESAMPLE, CLOCK, SIGNED) else o for o in options)
 
     def _invoke(self, *arguments: str | Path) -> Answer:
         result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
@@ -174,7 +174,12 @@ class Trial:
 
     def _is_of_the_format(self, sentence: str) -> bool:
         """Return True for a note on the layout of the file, which has it."""
-        layout = {"summary": "last sample", "long format": "a line holds one variable", "scope": "taken times"}
+        layout = {
+            "summary": "last sample",
+            "scope": "the first: EOF",
+            "long format": "a line holds one variable",
+            "names in rows": "time is counted in the step",
+        }
         return any(key in self.format and words in sentence for key, words in layout.items())
 
     def _check(self, pattern: str, text: str) -> None:

@@ -17,8 +17,10 @@ from sgms_mhe.api.inputs import Note, recorded_log
 from sgms_mhe.evaluation.watching import RunSummary
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.following import FollowedText
+from sgms_mhe.logfiles.json_files import SUFFIXES
 from sgms_mhe.logfiles.plausibility import check_plausible
-from sgms_mhe.logfiles.reading import READERS, TEXTS
+from sgms_mhe.logfiles.reading import READERS
+from sgms_mhe.logfiles.text import COMPRESSED
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import Chain, Signals, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
@@ -194,11 +196,9 @@ class Followed(_Growing):
     """
 
     def __init__(self, path: Path, machine: Machine, idle_s: float, clock: ReplayClock) -> None:
-        if path.suffix.lower() in READERS:
-            allowed = f"a text, which grows line by line ({', '.join(TEXTS)}); without --follow it is replayed"
+        if path.suffix.lower() in (*READERS, *SUFFIXES, COMPRESSED):
+            allowed = "a text, which grows line by line; without --follow it is replayed"
             raise InputError(path, "--follow", path.name, allowed)
-        if path.suffix.lower() not in TEXTS:
-            raise InputError(path, "file name", path.name, f"a log with one of the suffixes {', '.join(TEXTS)}")
         super().__init__(path, machine, idle_s, clock)
         self._path = path
         self._place = 0

@@ -16,8 +16,8 @@ from sgms_mhe.identification.terms import companion_terms
 from sgms_mhe.machine import Machine, plant_content
 from sgms_mhe.model.effects import MOVES
 from sgms_mhe.recordings.encoder import encoder_noise
-from sgms_mhe.recordings.recording import add_encoder, prepare
-from sgms_mhe.signals.logs import JITTER, Log
+from sgms_mhe.recordings.recording import BLOCK_MAX, BLOCK_ROWS_MIN, add_encoder, prepare
+from sgms_mhe.signals.logs import JITTER, Log, advise_time_unit
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def common_rate(logs: Sequence[Log]) -> float:
     """Sample rate [Hz] of all logs, as round as their clocks allow.
 
     Raises:
-        InputError: a log of another rate than the others.
+        InputError: a log of another rate than the others, or too slow to tell friction.
     """
     rate = logs[0].rate
     for log in logs[1:]:
@@ -53,6 +53,9 @@ def common_rate(logs: Sequence[Log]) -> float:
             allowed = f"{rate:.6g} Hz, the rate of {logs[0].source or 'the first log'}; logs of one call share a rate"
             raise InputError(log.source or "log", "time_s", f"{log.rate:.6g} Hz", allowed)
     rate = float(np.median([log.rate for log in logs]))
+    if rate < BLOCK_ROWS_MIN / BLOCK_MAX:
+        allowed = f"at least {BLOCK_ROWS_MIN / BLOCK_MAX:g} Hz; {advise_time_unit(rate)}"
+        raise InputError(logs[0].source or "log", "time_s", f"{rate:.6g} Hz", allowed)
     for digits in range(1, 6):
         round_number = float(f"{rate:.{digits}g}")
         if abs(round_number - rate) <= NOT_A_ROUND_RATE * rate:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 from sgms_mhe.logfiles.decimals import Mark, is_missing, is_number, told_by
-from sgms_mhe.logfiles.key_rows import find_key_rows
+from sgms_mhe.logfiles.key_rows import Header, find_key_rows
 from sgms_mhe.logfiles.stamps import is_clock
 from sgms_mhe.machine import BY_COLUMN, SEPARATORS, LogMapping, split_unit
 from sgms_mhe.support.errors import InputError
@@ -46,28 +46,21 @@ class Dialect:
     Attributes:
         separator: between fields; a space for any number of spaces and tabs.
         decimal: the decimal mark.
-        names: of the columns, as they stand in the header; `column 1`, ... where there is none.
-        units: of the unit row, as many as names; empty where there is none.
-        header_line: number of the line that names stand in; 0 where there is none.
+        header: the columns' properties.
         rows: (line number, line) of every sample; 0 where samples are no lines.
         before: lines before the header; `after`: lines after the last sample; `comments`: lines between samples that
             are none.
         first: samples before these rows, where they are a piece of a text.
-        clocks, scales: of columns by their indices, as in KeyRows.
     """
 
     separator: str
     decimal: Mark
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    header_line: int
+    header: Header
     rows: tuple[tuple[int, str], ...]
     before: int
     after: tuple[str, ...]
     comments: int
     first: int = 0
-    clocks: Mapping[int, int] = field(default_factory=dict)
-    scales: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
     def row(self, index: int) -> str:
         """Where a sample stands."""
@@ -82,14 +75,14 @@ class Dialect:
     @property
     def description(self) -> tuple[tuple[str, str], ...]:
         """The same for people."""
-        header = f"line {self.header_line}" if self.header_line else "none"
+        header = f"line {self.header.line}" if self.header.line else "none"
         rows = f"{len(self.rows)}, lines {self.rows[0][0]} to {self.rows[-1][0]}"
         return (
             ("separator", _NAMED[self.separator]),
             ("decimal mark", "comma" if self.decimal == "," else "point"),
             *((("preamble", f"{self.before} lines"),) if self.before else ()),
             ("header", header),
-            ("unit row", "yes" if self.units else "no"),
+            ("unit row", "yes" if self.header.units else "no"),
             ("rows", f"{rows}; {len(self.after)} lines after them" if self.after else rows),
             *((("comments", f"{self.comments} lines"),) if self.comments else ()),
         )
@@ -134,29 +127,24 @@ def find_dialect(path: Path, text: str, hints: LogMapping | None, least: int = 2
     closed = separator != " " and all(line.rstrip(" ").endswith(separator) for _, line in rows)
     above = lines[: rows[0][0] - 1]
     decimal = _decimal(path, rows, separator, hints)
-    keys = None
+    header = None
     if stated is None:
-        fields = ((k, fields_of(above[k - 1], separator)) for k in range(len(above), 0, -1) if above[k - 1].strip())
-        keys = find_key_rows([*fields], count, decimal)
-    if keys is None:
-        header_line, names, units = _header(path, above, separator, count, closed, stated)
+        upwards = ((k, fields_of(above[k - 1], separator)) for k in range(len(above), 0, -1) if above[k - 1].strip())
+        header = find_key_rows([*upwards], ((k, fields_of(line, separator)) for k, line in rows), decimal)
+    if header is None:
+        header = _header(path, above, separator, count, closed, stated)
     else:
-        header_line, names, units = keys.line, keys.names, keys.units
         rows = tuple((k, line + separator * (count - 1 - line.count(separator))) for k, line in rows)
     between = sum(1 for line in lines[rows[0][0] - 1 : rows[-1][0]] if line.strip()) - len(rows)
-    before = lines[: header_line - 1] if header_line else above
+    before = lines[: header.line - 1] if header.line else above
     return Dialect(
         separator,
         decimal,
-        names,
-        units,
-        header_line,
+        header,
         rows,
         sum(1 for line in before if line.strip()),
         tuple(line.strip() for line in lines[rows[-1][0] :] if not is_empty(line)),
         between,
-        clocks=keys.clocks if keys is not None else {},
-        scales=keys.scales if keys is not None else {},
     )
 
 
@@ -201,22 +189,25 @@ def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | Non
 def _first_sample(filled: Sequence[tuple[int, str]], separator: str, least: int) -> int | None:
     """Index of the first sample: where rows of `least` values or more begin, two of them with as many fields.
 
-    A preamble may have a few such rows too, but lines without a value below them.
+    A preamble may have a few such rows too, but lines without a value below them; or each begins with a key, another
+    word in each row, where samples begin with values.
     """
-    best, start, rows, count = (0, 0), 0, 0, 0
+    best, start, rows, count, keys = (False, 0, 0), 0, 0, 0, set[str]()
     for k, (_, line) in enumerate(filled):
         fields = fields_of(line, separator) if separator == " " or separator in line or least == 1 else []
         values = sum(map(_is_value, fields))
-        if values >= least and rows < 2 and count != len(fields):
-            start, rows, count = k, 1, len(fields)
+        key = {field for field in fields[:1] if not _is_value(field) and not is_missing(field)}
+        is_keyed = len(keys) == rows > 0
+        if values >= least and ((rows < 2 and count != len(fields)) or (is_keyed and not key)):
+            start, rows, count, keys = k, 1, len(fields), key
         elif values >= least and count == len(fields):
-            rows += 1
+            rows, keys = rows + 1, keys | key
         elif not values:
-            rows, count = 0, 0
-        best = max(best, (rows, -start))
-        if rows >= _SURE_ROWS:
+            rows, count, keys = 0, 0, set()
+        best = max(best, (1 < rows > len(keys), rows, -start))
+        if rows >= _SURE_ROWS and len(keys) < rows:
             break
-    return -best[1] if best[0] else None
+    return -best[2] if best[1] else None
 
 
 def _last(filled: Sequence[tuple[int, str]], first: int, separator: str) -> int:
@@ -238,13 +229,11 @@ def is_row(line: str, separator: str, lead: int) -> bool:
     return _is_value(begins) or is_missing(begins)
 
 
-def _header(
-    path: Path, above: Sequence[str], separator: str, count: int, closed: bool, stated: int | None
-) -> tuple[int, tuple[str, ...], tuple[str, ...]]:
-    """(line of the header, 0 where there is none; names; units) from the lines above the first sample."""
-    numbered = tuple(f"column {k + 1}" for k in range(count))
+def _header(path: Path, above: Sequence[str], separator: str, count: int, closed: bool, stated: int | None) -> Header:
+    """Find the line of names, and the rows of units and types below it, above the first sample."""
+    unnamed = Header(0, tuple(f"column {k + 1}" for k in range(count)))
     if stated == 0:
-        return 0, numbered, ()
+        return unnamed
     units: tuple[str, ...] = ()
     for number, fields in _candidates(above, separator, count, closed):
         if stated is not None and number != stated and not _is_unit_row(fields):
@@ -258,10 +247,10 @@ def _header(
         if number != stated and not units and _is_unit_row(fields):
             units = tuple("" if field.casefold().rstrip(":") in _LABELS else field for field in fields)
         elif number == stated or not _is_row_of_types(fields):
-            return number, tuple(fields), units
+            return Header(number, tuple(fields), units)
     if stated is not None:
         raise InputError(path, "[log] header_line", stated, f"a line above the rows with {count} names")
-    return (0, numbered, ()) if not units else (0, units, ())
+    return Header(0, units) if units else unnamed
 
 
 def _candidates(above: Sequence[str], separator: str, count: int, closed: bool) -> Iterator[tuple[int, list[str]]]:

@@ -48,7 +48,10 @@ def check_text(path: Path, text: str, before: int = 0) -> None:
     """Refuse what no text has; `before`: lines above this one."""
     if found := _NO_TEXT.search(text):
         line = before + text.count("\n", 0, found.start()) + 1
-        allowed = "text; a file of another format needs its own suffix, another encoding [log] (machine file, --log)"
+        allowed = (
+            "text; a file of another format needs its own suffix (.mat, .npz, .npy, .h5, .parquet, .feather, .mf4), "
+            "another encoding [log] (machine file, --log)"
+        )
         raise InputError(path, f"line {line}", found[0], allowed)
 
 

@@ -17,10 +17,6 @@ from sgms_mhe.machine import LogMapping, Machine
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
-SLOW_HZ: Final = 20.0
-FAST_HZ: Final = 1e6
-"""Rates outside which a drive is not recorded: time is in another unit."""
-
 
 @dataclass(frozen=True)
 class Inspection:
@@ -83,6 +79,7 @@ class Inspection:
             "offset": source.offset,
             "counts_per": source.counts_per,
             "wrap": source.wrap,
+            "signed": source.signed,
             "min": float(finite.min()),
             "max": float(finite.max()),
             "missing": len(values) - len(finite),
@@ -164,10 +161,4 @@ def inspect_reading(reading: LogContent, machine: Machine | None) -> Inspection:
             check_plausible(log, machine)
         except InputError as error:
             problems.append(str(error))
-    notes = list(reading.notes)
-    if not SLOW_HZ <= reading.timing.rate <= FAST_HZ and machine is None:
-        line = 'time_s = { variable = "...", unit = "ms" }'
-        notes.append(
-            f"{reading.timing.rate:.4g} samples per second: time in another unit? [log] (machine file, --log): {line}"
-        )
-    return Inspection(reading, tuple(problems), tuple(notes))
+    return Inspection(reading, tuple(problems), reading.notes)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sgms_mhe.logfiles.dialect import Dialect, lines_of
+from sgms_mhe.logfiles.key_rows import Header
 from sgms_mhe.support.errors import InputError
 
 SUFFIXES: Final = (".json", ".jsonl", ".ndjson")
@@ -30,7 +31,7 @@ def find_samples(path: Path, text: str) -> Dialect:
     if not names:
         raise InputError(path, "file", "no samples", _ALLOWED)
     rows = tuple((line, "\t".join(fields.get(name, "") for name in names)) for line, fields in flat)
-    return Dialect("\t", ".", names, (), 0, rows, 0, (), 0)
+    return Dialect("\t", ".", Header(0, names), rows, 0, (), 0)
 
 
 def _samples(path: Path, text: str) -> list[tuple[int, Any]]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from sgms_mhe.logfiles.dialect import UNITS
-from sgms_mhe.machine import Role, normal_unit
+from sgms_mhe.machine import BY_COLUMN, Role, normal_unit
 
 _WORDS: Final[Mapping[Role, str]] = {
     "time": "t|time|zeit|timestamp|zeitstempel|datetime|elapsed|elapsedtime|relativetime|relativezeit|temps|tempo|"
@@ -51,8 +51,11 @@ _INDEX: Final = re.compile(r"\[\d+\]")
 def split_name(name: str) -> tuple[str, str]:
     """(name without its unit, that unit as it stands) of 'Position [mm]', 'F (N)', 't/ms', 'pos_mm', 'Pos., mm'.
 
-    The unit is empty where there is none; in brackets it may be anything but an index.
+    The unit is empty where there is none; in brackets it may be anything but an index. The name is empty where it is a
+    unit of time alone.
     """
+    if (bare := name.strip("[](){}<> ")) in BY_COLUMN["time_s"].units:
+        return "", bare
     found = re.fullmatch(r"(.*\S)\s*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]", name)
     if found and not found[2].isdigit():
         return found[1], found[2]
@@ -80,11 +83,11 @@ def plain_name(name: str) -> str:
 def is_usual(header: str, role: Role, *, numbered: bool = False) -> bool:
     """Return True for a usual name of a measured quantity, whole or the end of a path; `numbered`: of one of many axes.
 
-    Time has no axis.
+    Time has no axis; there `numbered` is a unit alone.
     """
     name = _TYPE.sub("", _INDEX.sub("", _PARAMETER.sub("", split_name(header)[0])))
-    if role not in _PATTERNS or _WANTED.search(name):
-        return False
+    if role not in _PATTERNS or _WANTED.search(name) or not name:
+        return numbered and role == "time" and not name
     names = [plain_name(end) for end in (name, *(name[mark.end() :] for mark in re.finditer(r"[.:/]", name)))]
     if numbered:
         names = [found[1] for end in names if role != "time" and (found := _AXIS.fullmatch(end))]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sgms_mhe.logfiles.clocks import Note, align_clocks
 from sgms_mhe.logfiles.sources import Source
 from sgms_mhe.logfiles.table import Array, Table
-from sgms_mhe.machine import COUNTS
+from sgms_mhe.machine import COUNTS, log_line
 from sgms_mhe.support.errors import InputError
 
 PERIODS: Final = (256.0, 4096.0, 8192.0, 65536.0, 16777216.0, 4294967296.0, 1.0, 360.0, 2.0 * np.pi, 400.0)
@@ -23,6 +23,14 @@ _ONE: Final = 50.0
 """The same of a single jump, which has to be one of PERIODS."""
 _LARGEST: Final = 1e15
 """A recorded number at or beyond it is no position, and its digits tell no period."""
+_LEAST: Final = 100
+"""Samples that tell whether a column jumps."""
+REGISTERS: Final = (8, 12, 16, 24, 32)
+"""Bits of registers."""
+_WHOLE: Final = 1e-3
+"""Of a step between two values: how far all of them are from whole numbers of it."""
+_LEFT: Final = 0.1
+"""Share of the jumps of an unsigned record that the signed numbers may have."""
 _CUT: Final = 0.01
 """Share of the samples by which a column may be longer or shorter than time."""
 
@@ -53,8 +61,9 @@ class Turns:
 
 
 def turns_of(sources: tuple[Source, ...]) -> dict[str, Turns]:
-    """Return the turn counters of the columns that start over, by their names in the table."""
-    return {source.column: Turns(source.wrap) for source in sources if source.wrap is not None}
+    """Return the turn counters of the positions that start over, by their names in the table."""
+    positions = (source for source in sources if source.quantity.role == "position")
+    return {source.column: Turns(source.wrap) for source in positions if source.wrap is not None}
 
 
 def si_values(
@@ -63,13 +72,14 @@ def si_values(
     """Columns of the log (n,) by their names, in SI units, all of one length; time by `rate` [Hz] where it has none.
 
     `note` is called with sentences on what was cut off. Raises InputError for a matrix without a row, columns of
-    unequal length, and a position that starts over.
+    unequal length, a position that starts over, and a number with a sign that was recorded without.
     """
     names = {source.column for source in sources}
     raw = table.read(sorted(names | {table.clocks[name] for name in names if name in table.clocks}))
     for source in sources:
-        if source.quantity.role == "position" and source.wrap is None:
-            _check_jumps(path, source, _vector(path, source, raw[source.column]), table.row)
+        if source.wrap is None and source.signed is None and source.quantity.role not in ("time", "temperature"):
+            check = _check_jumps if source.quantity.role == "position" else _check_signed
+            check(path, source, _vector(path, source, raw[source.column]), table.row)
     columns = si_piece(path, table, sources, raw, turns_of(sources))
     if table.clocks and "time_s" in columns:
         columns = align_clocks(path, columns, _clocks(path, table, sources, raw), note)
@@ -123,11 +133,16 @@ def si_piece(
         turns: of the same log, which remember the piece before.
 
     Raises:
-        InputError: a matrix without a row; time stamps that are no time.
+        InputError: a matrix without a row; time stamps that are no time; a number beyond its stated range.
     """
     columns = {}
     for source in sources:
         values = _vector(path, source, raw[source.column])
+        if source.period is not None:
+            if not np.all(np.isnan(values) | (np.abs(values) < source.period)):
+                allowed = f"recorded numbers below {source.period:.10g}, after which they start over as [log] says"
+                raise InputError(path, f"column {source.column}", float(np.nanmax(np.abs(values))), allowed)
+            values = _centre(values, source.period)
         if source.quantity.role == "position" and source.column in turns:
             values = turns[source.column].unwrap(values)
         columns[source.quantity.column] = _si(path, source, values, source.column in table.stamped)
@@ -172,7 +187,7 @@ def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int],
     good = np.flatnonzero(np.isfinite(values))
     known = values[good]
     steps = np.diff(known)
-    if len(steps) < 100 or not np.abs(known).max() < _LARGEST:
+    if len(known) <= _LEAST or not np.abs(known).max() < _LARGEST:
         return
     sizes, extent = np.abs(steps), float(np.ptp(known))
     jumps = np.flatnonzero(sizes > 0.5 * extent)
@@ -194,10 +209,47 @@ def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int],
     period = listed if listed is not None else _round_number(float(np.median(periods)), min(off, rest / 4.0))
     first, column = int(jumps[0]), source.quantity.column
     seen = f"jumps by {steps[first]:.6g}" + (f", {count} such jumps" if count > 1 else "")
-    scale = "" if source.scale == 1.0 else f", scale = {source.scale:.10g}"
-    line = f'{column} = {{ variable = "{source.column}", unit = "{source.unit}"{scale}, wrap = {period:.10g} }}'
+    line = log_line(column, **source.keys, wrap=period)
     allowed = f"a position that goes on; where it starts over [log] (machine file, --log) says so: {line}"
     raise InputError(path, f"{row(int(good[first + 1]))}, column {source.column}", seen, f"{allowed}, as --wrap")
+
+
+def _centre(values: Array, period: float) -> Array:
+    """A number that starts over after `period`, about zero."""
+    return np.mod(values + 0.5 * period, period) - 0.5 * period
+
+
+def _check_signed(path: Path, source: Source, values: Array, row: Callable[[int], str]) -> None:
+    """Refuse a number with a sign that was recorded without: it jumps by the range of its register where it turns."""
+    good = np.flatnonzero(np.isfinite(values))
+    known = values[good]
+    levels = np.unique(known)
+    if len(known) < _LEAST or len(levels) < 4 or levels[0] < 0.0:
+        return
+    is_whole = np.abs(levels - np.rint(levels)).max() < _WHOLE
+    least = 1.0 if is_whole else float(np.diff(levels).min())
+    counts = np.rint(known / least)
+    bits = next((bits for bits in REGISTERS if 2.0 ** (bits - 1) <= counts.max() < 2.0**bits), None)
+    if bits is None or np.abs(known / least - counts).max() > _WHOLE:
+        return
+    period = 2.0**bits
+    turned = _centre(counts, period)
+    jumps = np.flatnonzero(np.abs(np.diff(counts)) > 0.5 * period)
+    left = np.count_nonzero(np.abs(np.diff(turned)) > 0.25 * period)
+    # Both signs have several values: on and off would have one each, the ends of the range.
+    if (
+        len(jumps) == 0
+        or left > _LEFT * len(jumps)
+        or min(len(np.unique(turned[s * turned > 0.0])) for s in (1, -1)) < 2
+    ):
+        return
+    more = {"signed": bits} if is_whole else {"wrap": period * least}
+    seen = f"jumps by {known[jumps[0] + 1] - known[jumps[0]]:.6g}, {len(jumps)} such jumps"
+    allowed = (
+        f"a number with its sign; an unsigned record of a signed number of {bits} bits, as this one seems, "
+        f"[log] (machine file, --log) turns back: {log_line(source.quantity.column, **source.keys, **more)}"
+    )
+    raise InputError(path, f"{row(int(good[jumps[0] + 1]))}, column {source.column}", seen, allowed)
 
 
 def _round_number(value: float, tolerance: float) -> float:

@@ -24,10 +24,10 @@ from sgms_mhe.logfiles.quantities import integrate, si_values
 from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
 from sgms_mhe.logfiles.table import Array, Column, Table
-from sgms_mhe.logfiles.text import COMPRESSED, read_text
+from sgms_mhe.logfiles.text import read_text
 from sgms_mhe.logfiles.timing import Timing, check_uniform, measure_time
 from sgms_mhe.machine import OF_KIND, QUANTITIES, REQUIRED, Kind, LogMapping, Machine
-from sgms_mhe.signals.logs import JITTER, Log, check_rate
+from sgms_mhe.signals.logs import JITTER, Log, advise_time_unit, check_rate
 from sgms_mhe.support.errors import InputError
 
 READERS: Final[Mapping[str, Callable[[Path], Table]]] = MappingProxyType(
@@ -47,7 +47,7 @@ MOST_REPEATED: Final = 0.01
 """Share of the samples that may have the time of the one before: beyond it the stamps are coarser than the samples."""
 
 TEXTS: Final = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn", ".log", ".lvm")
-"""Suffixes of delimited text."""
+"""Usual suffixes of delimited text."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +141,9 @@ def understand_table(
     timing = measure_time(path, columns["time_s"], table.row)
     if stated is not None and abs(timing.rate - stated) > JITTER * stated:
         raise InputError(path, "[log] rate", stated, f"{timing.rate:.6g} Hz, as its time column says")
+    advice = advise_time_unit(timing.rate) if machine is None else ""
+    if advice:
+        say(f"{timing.rate:.4g} samples per second: {advice}")
     columns = _complete(kind, columns, say)
     rate = machine.sampling.rate if machine is not None else None
     resampling = None
@@ -259,17 +262,10 @@ def _join(table: Table, file: str, other: Table) -> Table:
 
 
 def _read_file(path: Path, mapping: LogMapping | None, least: int) -> Table:
-    suffix = path.suffix.lower()
-    texts = (*TEXTS, *SUFFIXES)
-    if suffix == COMPRESSED and Path(path.stem).suffix.lower() in texts:
-        suffix = Path(path.stem).suffix.lower()
-    if suffix not in READERS and suffix not in texts:
-        allowed = (
-            f"a log with one of the suffixes {', '.join((*texts, *READERS))}; texts also with {COMPRESSED} after it"
-        )
-        raise InputError(path, "file name", path.name, allowed)
+    """Read a file of a format that its suffix tells, or else a text. Raises InputError for one that is neither."""
+    reader = READERS.get(path.suffix.lower())
     try:
-        return read_text(path, mapping, least) if suffix in texts else READERS[suffix](path)
+        return read_text(path, mapping, least) if reader is None else reader(path)
     except OSError as error:
         raise InputError(path, "file", None, f"a readable log ({error.strerror or error})") from None
 

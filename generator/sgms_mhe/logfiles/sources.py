@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from sgms_mhe.logfiles.names import is_usual, plain_name, split_name
 from sgms_mhe.logfiles.table import Column, Table
@@ -22,6 +22,7 @@ from sgms_mhe.machine import (
     LogMapping,
     Quantity,
     Role,
+    log_line,
     normal_unit,
     split_unit,
 )
@@ -51,6 +52,22 @@ class Source:
     offset: float = 0.0
     counts_per: float | None = None
     wrap: float | None = None
+    signed: int | None = None
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """What [log] has to state of it."""
+        said = {"variable": self.column, "row": self.row, "unit": self.unit, "scale": self.scale, "offset": self.offset}
+        said |= {"counts_per": self.counts_per, "wrap": self.wrap, "signed": self.signed}
+        silent = {"scale": 1.0, "offset": 0.0}
+        return {key: value for key, value in said.items() if value is not None and value != silent.get(key)}
+
+    @property
+    def period(self) -> float | None:
+        """Range of a recorded number that is centred about zero; None for one that is taken as it is."""
+        if self.signed is not None:
+            return float(2.0**self.signed)
+        return None if self.quantity.role == "position" else self.wrap
 
     @property
     def description(self) -> str:
@@ -250,7 +267,7 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
             source = replace(source, scale=_find_unit(column, quantity)[0])
     if mapped is None:
         return source
-    stated = {key: getattr(mapped, key) for key in ("row", "offset", "counts_per", "wrap")}
+    stated = {key: getattr(mapped, key) for key in ("row", "offset", "counts_per", "wrap", "signed")}
     return replace(source, scale=mapped.scale * source.scale, **stated)
 
 
@@ -260,8 +277,8 @@ def _same(columns: Sequence[Column]) -> bool:
 
 def _line(quantity: Quantity, name: str, unit: str = "") -> str:
     """The line of [log] that a user may write, with what a unit needs beside it."""
-    needed = ", counts_per = ..." if unit in COUNTS else ", scale = ..." if unit in quantity.recorded else ""
-    return f'{quantity.column} = {{ variable = "{name}", unit = "{unit or "..."}"{needed} }}'
+    needed = {"counts_per": ...} if unit in COUNTS else {"scale": ...} if unit in quantity.recorded else {}
+    return log_line(quantity.column, variable=name, unit=unit or "...", **needed)
 
 
 def _missing(path: Path, table: Table, lost: Sequence[Quantity], mapped: LogColumn | None) -> InputError:
@@ -332,7 +349,8 @@ def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Sourc
             raise InputError(path, f"column {column.name}, unit", beside, allowed)
         return Source(quantity, column.name, quantity.unit, "its name")
     factor, stated = _find_unit(column, quantity)
-    return Source(quantity, column.name, _check_unit(path, quantity, column, stated), "name and unit", scale=factor)
+    because = "name and unit" if split_name(column.header)[0] else "unit alone"
+    return Source(quantity, column.name, _check_unit(path, quantity, column, stated), because, scale=factor)
 
 
 def _check_unit(path: Path, quantity: Quantity, column: Column, unit: str) -> str:

@@ -41,16 +41,21 @@ def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
         notes.append(
             f"{len(dialect.after)} lines after the last sample are left out, the first: {dialect.after[0][:80]}"
         )
-    names = [column.name for column in cells.columns]
-    scales = {names[k]: scale for k, scale in dialect.scales.items()}
-    notes += [
-        f"{name}: taken times {factor:g} plus {offset:g}, as its key rows state"
-        for name, (factor, offset) in scales.items()
-    ]
+    names, header = [column.name for column in cells.columns], dialect.header
+    scales = {names[k]: scale for k, scale in header.scales.items()}
+    counted: dict[str, Array] = {
+        names[k]: step * np.arange(float(len(dialect.rows))) for k, step in header.steps.items()
+    }
+    notes += [f"{name}: taken times {a:g} plus {b:g}, as its key rows state" for name, (a, b) in scales.items()]
+    if header.steps:
+        first, step = next(iter(header.steps.items()))
+        notes.append(f"time is counted in the step of {step:g} {header.units[first]} that the file states")
 
     def read(wanted: Sequence[str]) -> Mapping[str, Array]:
-        values = dict(Cells(path, dialect, hints).read(dialect, wanted))
-        return values | {name: values[name] * scales[name][0] + scales[name][1] for name in wanted if name in scales}
+        values = dict(Cells(path, dialect, hints).read(dialect, [name for name in wanted if name not in counted]))
+        for name in scales.keys() & values:
+            values[name] = values[name] * scales[name][0] + scales[name][1]
+        return {name: counted[name] if name in counted else values[name] for name in wanted}
 
     table = Table(
         "JSON" if is_json else "text",
@@ -60,7 +65,7 @@ def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
         () if is_json else (("encoding", encoding), *dialect.description),
         cells.stamped,
         tuple(notes),
-        {names[k]: names[clock] for k, clock in dialect.clocks.items()},
+        {names[k]: names[clock] for k, clock in header.clocks.items()},
     )
     return pivot(path, table, dialect, hints)
 
@@ -97,7 +102,7 @@ class Cells:
 
     def __init__(self, path: Path, dialect: Dialect, hints: LogMapping | None) -> None:
         self._path = path
-        self.columns = columns_of(dialect.names, dialect.units)
+        self.columns = columns_of(dialect.header.names, dialect.header.units)
         self._indices = {column.name: k for k, column in enumerate(self.columns)}
         # The first row that has something in a column tells whether it holds time stamps.
         probe = [fields_of(line, dialect.separator) for _, line in dialect.rows[:_PROBE]]
@@ -142,7 +147,7 @@ class Cells:
 
 def _check_length(path: Path, dialect: Dialect, index: int, found: int) -> None:
     """Refuse a row with more or fewer fields than the header has names."""
-    count = len(dialect.names)
+    count = len(dialect.header.names)
     if found != count:
         raise InputError(
             path, dialect.row(index), f"{found} fields", f"{count} fields, as many as the header has names"

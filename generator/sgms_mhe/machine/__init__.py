@@ -6,7 +6,7 @@ from sgms_mhe.machine.diagnosis import DiagnosisTable
 from sgms_mhe.machine.estimator import ArrivalCost, Disturbance, Estimator, Noise
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables, json_schema
-from sgms_mhe.machine.log_mapping import SEPARATORS, LogColumn, LogMapping, kinds_of, table_of_flags
+from sgms_mhe.machine.log_mapping import SEPARATORS, LogColumn, LogMapping, kinds_of, log_line, table_of_flags
 from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, REQUIRED, Quantity, Role, normal_unit, split_unit
 from sgms_mhe.machine.reading import (
     Layer,
@@ -61,6 +61,7 @@ __all__ = [
     "json_schema",
     "kinds_of",
     "listing",
+    "log_line",
     "log_mapping",
     "log_table",
     "machine_file",

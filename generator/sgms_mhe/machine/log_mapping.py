@@ -50,7 +50,10 @@ class LogColumn(_Spare):
         gt=0,
         le=1e15,
         description="period after which the recorded variable starts over, in its own unit (65536 counts, 360 deg); "
-        "default none",
+        "a position goes on, anything else is centred about zero; default none",
+    )
+    signed: int | None = Field(
+        None, ge=2, le=64, description="bits of a signed number that was recorded unsigned [1]; default none"
     )
 
     @property
@@ -104,7 +107,8 @@ Source = Annotated[LogColumn | None, BeforeValidator(_as_column, json_schema_inp
 
 def _column(name: str) -> Any:
     units = listing(BY_COLUMN[name].allowed)
-    allowed = f"a variable's name or {{ variable, member, row, scale, offset, unit, counts_per, wrap }}; unit {units}"
+    keys = ", ".join(LogColumn.model_fields)
+    allowed = f"a variable's name or {{ {keys} }}; unit {units}"
     return Field(None, description=f"source of the log's column {name}; {allowed}; default: a variable named {name}")
 
 
@@ -165,6 +169,17 @@ class LogMapping(_Spare):
             if name not in known and not column.is_bare:
                 raise refusal(name, getattr(self, name).description, f"columns of one kind of axis: {listing(known)}")
         return self
+
+
+def log_line(column: str, **keys: object) -> str:
+    """The line of [log] that states these keys of a column; `...` for what its reader knows."""
+
+    def write(value: object) -> str:
+        if isinstance(value, str):
+            return f'"{value}"'
+        return "..." if value is ... else str(float(f"{value:.10g}") if isinstance(value, float) else value)
+
+    return f"{column} = {{ {', '.join(f'{key} = {write(value)}' for key, value in keys.items())} }}"
 
 
 def kinds_of(column: str) -> list[Kind]:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.machine import OF_KIND, QUANTITIES, Kind, Machine, Units
+from sgms_mhe.machine import OF_KIND, QUANTITIES, Kind, Machine, Units, log_line
 from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
@@ -125,10 +125,23 @@ def check_rate(log: Log, machine: Machine) -> None:
     allowed = f"sampling.rate of {machine.name}, {rate:g} Hz"
     unit = next((unit for unit, factor in _CLOCKS.items() if abs(log.rate / factor - rate) <= JITTER * rate), None)
     if unit is not None:
-        allowed += f'; time in {unit}? [log] (machine file, --log) has time_s = {{ variable = "...", unit = "{unit}" }}'
+        line = log_line("time_s", variable="...", unit=unit)
+        allowed += f"; time in {unit}? [log] (machine file, --log) has {line}"
     raise InputError(log.source or "log", "time_s", f"{log.rate:.6g} Hz", allowed)
 
 
+def advise_time_unit(rate: float) -> str:
+    """Return the line of [log] for a time in another unit, where no drive is recorded at this rate [Hz]; or ''."""
+    if SLOW_HZ <= rate <= FAST_HZ:
+        return ""
+    slow = (unit for unit, factor in _CLOCKS.items() if factor < 1.0 and rate < SLOW_HZ <= rate / factor)
+    line = log_line("time_s", variable="...", unit=next(slow, "..."))
+    return f"time in another unit? [log] (machine file, --log) has {line}"
+
+
+SLOW_HZ: Final = 20.0
+FAST_HZ: Final = 1e6
+"""Rates outside which a drive is not recorded."""
 _CLOCKS: Final = {unit: factor for unit, (factor, _) in QUANTITIES["linear"][0].units.items() if factor != 1.0}
 """Units in which a time may be that was read as seconds, and their lengths [s]."""
 
