@@ -30,6 +30,7 @@ from sgms_mhe.support.errors import BuildError as BuildError
 from sgms_mhe.support.errors import ImplausibleError as ImplausibleError
 from sgms_mhe.support.errors import InputError as InputError
 from sgms_mhe.support.errors import LogWarning as LogWarning
+from sgms_mhe.support.errors import MachineWarning as MachineWarning
 
 __version__: str
 __all__ = [
@@ -43,6 +44,7 @@ __all__ = [
     "Log",
     "LogWarning",
     "Machine",
+    "MachineWarning",
     "MotionPlan",
     "Origin",
     "Package",

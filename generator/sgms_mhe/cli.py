@@ -12,6 +12,7 @@ import importlib
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
@@ -21,7 +22,8 @@ from typing import Any, Final, NoReturn, cast
 import click
 
 from sgms_mhe import __version__
-from sgms_mhe.support.errors import BuildError, InputError, speak_to_command_line
+from sgms_mhe.commands.common import note
+from sgms_mhe.support.errors import BuildError, InputError, MachineWarning, speak_to_command_line
 from sgms_mhe.support.names import did_you_mean, name_distribution
 
 COMMANDS: Final = {
@@ -103,7 +105,9 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the arguments name."""
-        with speak_to_command_line(), _outcomes(ctx):
+        with speak_to_command_line(), warnings.catch_warnings(), _outcomes(ctx):
+            warnings.simplefilter("once", MachineWarning)
+            warnings.showwarning = _tell
             result = super().invoke(ctx)
             sys.stdout.flush()  # here, where a closed pipe can still be told from success
             return result
@@ -131,6 +135,11 @@ def _load(entry: EntryPoint) -> click.Command:
 def command_names() -> list[str]:
     """Return the names of all commands: the product's in the order of a user's work, then those that are added."""
     return [*COMMANDS, *sorted(added_commands())]
+
+
+def _tell(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    """Print a warning on stderr, of a library with its kind."""
+    note(str(message) if category is MachineWarning else f"{category.__name__}: {message}")
 
 
 @contextmanager

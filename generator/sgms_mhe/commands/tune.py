@@ -125,7 +125,7 @@ def _toml(tuned: Tuned, path: Path, log: str, alone: bool) -> str:
     if alone:
         changed = override_machine(tuned.machine, {"name": path.stem, **tuned.changes()})
         return "\n".join([*head, *toml_machine(changed.content)]) + "\n"
-    lines = [*head, toml_extends(tuned.machine, path.parent), toml_line("name", path.stem)]
+    lines = [*head, *toml_extends(tuned.machine, path.parent), toml_line("name", path.stem)]
     estimator = tuned.changes().get("estimator", {})
     if "horizon" in estimator:
         lines += toml_table("[estimator]", {"horizon": estimator["horizon"]})

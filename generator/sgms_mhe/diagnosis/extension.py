@@ -131,7 +131,7 @@ def extension_toml(machine: Machine, extended: Machine, changes: Mapping[str, An
         return "\n".join([head, *toml_machine(extended.content)]) + "\n"
     lines = [
         head,
-        toml_extends(machine, folder),
+        *toml_extends(machine, folder),
         *(toml_line(key, changes[key]) for key in ("name", "description")),
     ]
     for key in ("plant", "friction"):

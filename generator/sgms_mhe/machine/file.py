@@ -108,6 +108,10 @@ def json_schema() -> dict[str, Any]:
         "description": "another machine file (same folder or machines/) whose keys this file overrides; "
         "tables merge, arrays are replaced; default none",
     }
+    schema["properties"]["extends_digest"] = {
+        "type": "string",
+        "description": "digest of that file when this one was written: a warning where it has changed; default none",
+    }
     # A file that extends another one may leave everything to it.
     schema["if"], schema["else"] = {"required": ["extends"]}, {"required": schema.pop("required")}
     return schema

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
+import json
 import re
 import tomllib
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +21,12 @@ from sgms_mhe.machine.fields import MachineTable, listing
 from sgms_mhe.machine.file import Tables
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import CHOSEN_BY_LAW
-from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.errors import InputError, MachineWarning
 from sgms_mhe.support.paths import machines_dir
 
 Key = str | int
 
+BASE_DIGITS: Final = 16
 DEEPEST: Final = 16
 """Nesting of tables and arrays that a machine file may have; its schema needs four."""
 
@@ -32,6 +36,8 @@ class Layer(NamedTuple):
 
     path: Path
     content: Mapping[str, Any]
+    base_digest: object = None
+    """Of what the file extends, when it was written."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,7 @@ def read_machine_file(machine: str | Path) -> MachineFile:
     layers = _read_layers(_find(machine, Path(), str(machine), "machine"))
     content: dict[str, Any] = {}
     for layer in reversed(layers):
+        _check_base(layer, content)
         content = merge_tables(content, layer.content)
     return machine_file(content, layers)
 
@@ -80,6 +87,33 @@ def machine_file(content: Mapping[str, Any], layers: Sequence[Layer]) -> Machine
         return MachineFile(Tables.model_validate(content), content, tuple(layers))
     except ValidationError as error:
         raise _input_error(error, layers) from None
+
+
+def digest_content(content: Mapping[str, Any]) -> str:
+    """Return the digest (hex) of a file's merged content, without what changes neither model nor estimator."""
+    counted = {key: entry for key, entry in content.items() if key not in ("name", "description", "log", "diagnosis")}
+    return hashlib.sha256(json.dumps(counted, sort_keys=True, default=str).encode()).hexdigest()[:BASE_DIGITS]
+
+
+def _check_base(layer: Layer, base: Mapping[str, Any]) -> None:
+    """Warn of a file whose base is not the one that it was written over.
+
+    Raises:
+        InputError: a digest of nothing, or of no file.
+    """
+    stated = layer.base_digest
+    if stated is None:
+        return
+    if not isinstance(stated, str) or not base:
+        allowed = f"{BASE_DIGITS} hexadecimal digits, in a file that extends another one; or no such key"
+        raise InputError(layer.path, "extends_digest", stated, allowed)
+    if (present := digest_content(base)) != stated:
+        warnings.warn(
+            f"{layer.path}: extends_digest = {stated!r}, but the file that it extends has {present!r} now: it has "
+            "changed since, and the numbers here may not fit it. Make the file again, or state the new digest",
+            MachineWarning,
+            stacklevel=2,
+        )
 
 
 def read_log_table(path: Path) -> dict[str, Any]:
@@ -162,7 +196,7 @@ def _read_layers(path: Path) -> list[Layer]:
             raise InputError(layers[-1].path, "extends", path.name, "a file that does not lead back to this one")
         content = _read_toml(path)
         parent = content.pop("extends", None)
-        layers.append(Layer(path, content))
+        layers.append(Layer(path, content, content.pop("extends_digest", None)))
         if parent is None:
             return layers
         if not isinstance(parent, str) or not parent:
@@ -260,7 +294,7 @@ def _input_error(error: ValidationError, layers: Sequence[Layer], table: Sequenc
         holder = _field(Tables, loc[:-1])[0]
         known = [str(key) for key in _fields(holder)]
         if len(loc) == 1:
-            known.append("extends")
+            known += ["extends", "extends_digest"]
         close = difflib.get_close_matches(str(loc[-1]), known, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
         said = holder.unknown if holder is not None and issubclass(holder, MachineTable) else MachineTable.unknown

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from sgms_mhe.machine.log_mapping import kinds_of
 from sgms_mhe.machine.log_units import BY_COLUMN
+from sgms_mhe.machine.reading import digest_content
 from sgms_mhe.machine.resolved import Machine
 from sgms_mhe.machine.units import Kind
 from sgms_mhe.support.paths import machines_dir
@@ -111,16 +112,17 @@ def toml_log(table: Mapping[str, Any], kind: Kind) -> str:
     return "\n".join([*toml_table("[log]", own), ""]) if own else ""
 
 
-def toml_extends(machine: Machine, folder: Path) -> str:
-    """Return the line by which a file in `folder` extends a machine.
+def toml_extends(machine: Machine, folder: Path) -> list[str]:
+    """Return the lines by which a file in `folder` extends a machine, and knows it again.
 
     By name where every installation finds it; otherwise by the path from the folder: both can be moved together.
     """
     source = machine.source.resolve()
     if source.parent == machines_dir().resolve():
-        return toml_line("extends", source.stem)
-    try:
-        base = Path(os.path.relpath(source, folder.resolve()))
-    except ValueError:  # on another drive, to which no relative path leads
-        base = source
-    return toml_line("extends", base.as_posix())
+        base = source.stem
+    else:
+        try:
+            base = Path(os.path.relpath(source, folder.resolve())).as_posix()
+        except ValueError:  # on another drive, to which no relative path leads
+            base = source.as_posix()
+    return [toml_line("extends", base), toml_line("extends_digest", digest_content(machine.content))]

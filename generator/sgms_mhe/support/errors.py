@@ -96,5 +96,9 @@ class LogWarning(UserWarning):
     """Sentence on how a log was read: on what was left out, changed or assumed."""
 
 
+class MachineWarning(UserWarning):
+    """Sentence on a machine file that is read as it stands, but may not be what it was written to be."""
+
+
 class BuildError(Exception):
     """The C compiler refused an emitted package; the message carries its output."""
