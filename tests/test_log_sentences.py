@@ -78,10 +78,10 @@ def test_a_motion_that_was_there_is_not_asked_for(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_log_of_one_sample_a_second_is_refused() -> None:
-    """No block of it holds enough rows; as where the unit of time is wrong."""
+    """No block of it holds enough rows; as where the unit of time is wrong, which is the reason that is given."""
     log, _ = trace()
     slow = replace(log, time_s=1e3 * log.time_s, rate=1e-3 * log.rate)
-    with pytest.raises(InputError, match=r"usable samples = \d+: at least 5 of them within 2 s"):
+    with pytest.raises(InputError, match=r"time_s = '1 Hz': at least 2.5 Hz; time in another unit"):
         identify([slow], Wanted("slow"))
 
 

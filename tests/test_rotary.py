@@ -184,7 +184,7 @@ def test_a_wrong_sign_is_said_in_its_own_words(logs: tuple[Path, Path], tmp_path
     negated = Log(log.time_s, log.position_m, -log.force_N, log.rate, kind="rotary")
     write_log(tmp_path / "negated.csv", negated)
     said = refused("estimate", "etel_xy_rotary", tmp_path / "negated.csv", "--out", tmp_path / "e.csv")
-    assert 'torque_Nm = { variable = "...", scale = -1.0 }' in said
+    assert 'torque_Nm = { variable = "torque_Nm", scale = -1.0, unit = "N m" }' in said
     assert not LINEAR_UNITS.search(said)
 
 

@@ -29,7 +29,7 @@ from sgms_mhe.identification.fits import RecordView, encoder_forces
 from sgms_mhe.identification.record_numbers import list_record_numbers
 from sgms_mhe.identification.records import Records, drop_start, filter_motion, make_records, scale_levels, sort_logs
 from sgms_mhe.identification.result import Identification, Number
-from sgms_mhe.identification.sampling import common_rate, replace_filter, rough_mass, unknown_axis
+from sgms_mhe.identification.sampling import common_rate, name_all, replace_filter, rough_mass, unknown_axis
 from sgms_mhe.identification.search import LEAST_SHARE, MATERIAL, MOST_ELEMENTS, ChosenModel, Progress, Views, search
 from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import (
@@ -194,12 +194,12 @@ def _explore_records(records: Records, wanted: Wanted, known: Known, report: Pro
     views = Views(RecordView(rows, records.coarse, noise, limits), fine)
     found = search(views, (*base, *companions, *level), spectrum, wanted.elements, report)
     if not found.fit.coulomb > 0.0:
-        raise frictionless_error(records.names[0])
+        raise frictionless_error(name_all(records.names))
     measured = _measure(records, found)
     names = dict.fromkeys((*companion_names(rows), *(term.name for term in curves)))
     excited = [name for name in names if _is_excited(effect_definition(name), measured)]
     final = make_final_fit(views, found, base, companions, curves, excited, known, report)
-    check_slides(views.fine, final, excited, records.names[0])
+    check_slides(views.fine, final, excited, name_all(records.names))
     log_decision(
         "numbers",
         "final fit",
@@ -227,7 +227,7 @@ def _start(records: Records, per_decade: float) -> tuple[Records, Spectrum, tupl
     if level:
         spectrum = find_spectrum(records, (*terms, *level), noise, grid)
     if not len(spectrum.distances):
-        raise frictionless_error(records.names[0])
+        raise frictionless_error(name_all(records.names))
     return records, spectrum, base
 
 
@@ -293,6 +293,8 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
         _check_force(log, logs[0])
         _check_moves(log)
     machine = unknown_axis(logs, wanted.name, wanted.mass or NO_MASS, wanted.like)
+    for log in logs:
+        check_plausible(log, machine, has_mass=wanted.mass is not None)
     is_shown = wanted.mass is None and not logs[0].is_friction_alone
     mass = rough_mass(machine, logs) if is_shown else wanted.mass or NO_MASS
     machine = unknown_axis(logs, wanted.name, mass, wanted.like)
@@ -301,8 +303,6 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
         machine, warnings = replace_filter(machine, logs)
     if wanted.like is None:  # no filter was asked for
         warnings = ()
-    for log in logs:
-        check_plausible(log, machine, has_mass=wanted.mass is not None)
     records = make_records(machine, logs)
     _check_dissipates(records)
     return replace(records, warnings=(*warnings, *records.warnings))
@@ -346,19 +346,17 @@ def _check_moves(log: Log) -> None:
 
 
 def _check_dissipates(records: Records) -> None:
-    """Refuse logs in which friction drives the axis: nothing passive does."""
-    rows = records.rows
-    power = rows.friction * rows.velocity
-    mean, size = float(np.mean(power[rows.used])), float(np.mean(np.abs(power[rows.used])))
-    units = rows.machine.plant.units
-    force = units.named("force_N")
-    if mean < -DRIVEN * size:
+    """Refuse logs in which friction drives the axis: nothing passive does. The one in which it does most is named."""
+    rows, units = records.rows, records.machine.plant.units
+    power = np.where(rows.used, rows.friction * rows.velocity, 0.0)
+    shares = [part.sum() for part in np.split(power, np.cumsum([motion.rows for motion in records.coarse])[:-1])]
+    if power.sum() < -DRIVEN * np.abs(power).sum():
         raise InputError(
-            records.names[0],
-            f"columns {units.named('position_m')} and {force}",
-            f"{mean:.3g} W of friction, which drives the axis",
-            f"a {units.push} of the position's sign: is one of them turned round? Then {force} has scale = -1 in "
-            f"[log]; or {units.inert} that goes with the {units.push}, not {rows.machine.plant.moved:.4g} {units.mass}",
+            records.names[int(np.argmin(shares))],
+            f"columns {units.named('position_m')} and {units.named('force_N')}",
+            f"{power.sum() / np.count_nonzero(rows.used):.3g} W of friction, which drives the axis",
+            f"a {units.push} that alone moves the axis, braked by friction; or {units.inert} that goes with it, not "
+            f"{rows.machine.plant.moved:.4g} {units.mass}",
         )
 
 
@@ -395,7 +393,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     else:
         if given is None and seen is None:
             raise InputError(
-                records.names[0],
+                name_all(records.names),
                 units.inert,
                 None,
                 f"--{units.inert}: the motion does not show it; or a log with {MOVES['jerks']}, which do",

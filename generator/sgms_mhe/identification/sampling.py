@@ -55,7 +55,7 @@ def common_rate(logs: Sequence[Log]) -> float:
     rate = float(np.median([log.rate for log in logs]))
     if rate < BLOCK_ROWS_MIN / BLOCK_MAX:
         allowed = f"at least {BLOCK_ROWS_MIN / BLOCK_MAX:g} Hz; {advise_time_unit(rate)}"
-        raise InputError(logs[0].source or "log", "time_s", f"{rate:.6g} Hz", allowed)
+        raise InputError(name_all([log.source for log in logs]), "time_s", f"{rate:.6g} Hz", allowed)
     for digits in range(1, 6):
         round_number = float(f"{rate:.{digits}g}")
         if abs(round_number - rate) <= NOT_A_ROUND_RATE * rate:
@@ -81,7 +81,7 @@ def unknown_axis(logs: Sequence[Log], name: str, mass: float, like: Machine | No
     if like is not None:
         if abs(like.sampling.rate - rate) > JITTER * like.sampling.rate:
             allowed = f"sampling.rate of {like.name}, {like.sampling.rate:g} Hz"
-            raise InputError(logs[0].source or "log", "time_s", f"{rate:.6g} Hz", allowed)
+            raise InputError(name_all([log.source for log in logs]), "time_s", f"{rate:.6g} Hz", allowed)
         content |= {key: like.content[key] for key in KEPT if key in like.content}
         # What is estimated and within what bounds follows from what is found.
         estimator = dict(content.get("estimator", {}))
@@ -205,14 +205,16 @@ def rough_mass(machine: Machine, logs: Sequence[Log]) -> float:
     """
     mass, units = _fit_mass(machine, logs), machine.plant.units
     if not mass > 0.0:
-        raise InputError(
-            logs[0].source or "log",
-            f"{units.push} over acceleration",
-            f"{mass:.3g} {units.mass}",
-            f"--{units.inert}: this motion shows none ({MOVES['jerks']} would); or is the {units.push}'s sign not the "
-            f"position's? Then {units.named('force_N')} has scale = -1 in [log]",
-        )
+        allowed = f"--{units.inert}: this motion shows none ({MOVES['jerks']} would)"
+        seen = f"{mass:.3g} {units.mass}"
+        raise InputError(name_all([log.source for log in logs]), f"{units.push} over acceleration", seen, allowed)
     return mass
+
+
+def name_all(sources: Sequence[str]) -> str:
+    """Name of what is said of several logs: the first, and how many more."""
+    more = f" and {len(sources) - 1} more" if len(sources) > 1 else ""
+    return f"{sources[0] or 'log'}{more}"
 
 
 def _fit_mass(machine: Machine, logs: Sequence[Log]) -> float:

@@ -3,20 +3,25 @@
     force = c a + F_c sign(v) + F_v v + k x + o
 
 Where an axis has just turned round its friction still has the old direction, which looks like a force against the
-acceleration. So only what lies a distance behind the last reversal counts for the inertia. Friction takes power whether
-it slides or not: for its sign the whole record counts.
+acceleration. So only what lies a distance behind the last reversal counts for the inertia.
+
+For the sign both are tried, that which was recorded and the other, with any force g of the place in place of k x + o:
+
+    +- force = c a + sum_i F_i z_i(x) + F_v v + g(x),   c >= 0, F_i >= 0
+
+Gravity, springs and contacts are forces of the place, of either sign. A drive that holds against what moves it is a
+spring and a damper: F_v is free, so that it tells no sign. z_i are elements of dry friction, springs that slip.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 BLOCKS: Final = 10
 """Parts of the record, each left out once: the spread of what is left is the standard error."""
@@ -28,54 +33,46 @@ _SURE: Final = 4.0
 _REAL_ACCELERATION: Final = 0.6
 _REAL_VELOCITY: Final = 0.8
 """What is left of a derivative over intervals twice as long; of white noise in position 0.25 and 0.56 are left."""
+_WAVES: Final = (0.5, 1.0, 1.5, 2.0)
+"""Periods in the travel of the sines of a force of the place."""
+_ALIKE: Final = 1e-6
+"""Size of a direction of the free terms, over the largest, below which it is one of the others."""
+_LENGTHS: Final = (1e-4, 1e-3, 1e-2, 0.1)
+"""Of the travel: after which the elements of a friction slip."""
+_LESS: Final = 0.8
+"""Share of the squares that the better sign leaves at most."""
+_MOST: Final = 0.75
+"""Share of what the free terms leave that the better sign explains,"""
+_PART: Final = 0.12
+"""or of the whole force."""
+_AGAINST: Final = 0.25
+"""Share of the gain that parts of the record may lose by it."""
 _LARGE: Final = 0.3
 """Share of the force's standard deviation that a part has to have, to be no accident of what is not modelled."""
 
 
-@dataclass(frozen=True)
-class ForceBalance:
-    """Regression of a log's force on its motion.
-
-    Attributes:
-        inertia: c [kg, or kg m^2]; 0 where it cannot be told from nothing.
-        dissipates: 1 where the force works against the motion as friction does, -1 where it drives it, 0 untold.
-    """
-
-    inertia: float
-    dissipates: int
-
-    @property
-    def has_wrong_sign(self) -> bool:
-        """Return True if the force accelerates against itself, or friction drives the motion, and no vote differs."""
-        votes = (self.inertia, float(self.dissipates))
-        return min(votes) < 0.0 and max(votes) <= 0.0
-
-
-def force_balance(x: Array, v: Array, a: Array, force: Array, distance: float) -> ForceBalance:
-    """Balance the forces of a log.
+def find_inertia(x: Array, v: Array, a: Array, force: Array, distance: float) -> float:
+    """Force over acceleration of a log [kg, kg m^2]; 0 where it cannot be told from nothing.
 
     Args:
         x, v, a, force: position, velocity, acceleration and force (n,) at the same instants, in order, finite.
         distance: behind a reversal after which friction has its new direction.
     """
     sliding = since_reversal(x, distance) > distance
-    inertia, dissipates = 0.0, 0
-    if _is_motion(a, sliding, _REAL_ACCELERATION):
-        inertia = _inertia(*(values[sliding] for values in (x, v, a, force)))
-    if _is_motion(v, np.ones(len(v), dtype=bool), _REAL_VELOCITY):
-        dissipates = _dissipation(x, v, a, force)
-    return ForceBalance(inertia, dissipates)
+    if not _is_motion(a[sliding], _REAL_ACCELERATION):
+        return 0.0
+    return _inertia(*(values[sliding] for values in (x, v, a, force)))
 
 
-def _is_motion(values: Array, counted: Mask, least: float) -> bool:
+def _is_motion(values: Array, least: float) -> bool:
     """Return True if a derivative of position is motion: as large over intervals twice as long; noise is not.
 
     A controller answers to the noise of its encoder: a force goes with it that says nothing of mass or friction.
     """
-    if np.count_nonzero(counted) < _LEAST_ROWS:
+    if len(values) < _LEAST_ROWS:
         return False
     longer = np.convolve(values, (0.25, 0.5, 0.25), mode="same")
-    return float(np.std(longer[counted])) > least * float(np.std(values[counted]))
+    return float(np.std(longer)) > least * float(np.std(values))
 
 
 def _inertia(x: Array, v: Array, a: Array, force: Array) -> float:
@@ -93,18 +90,46 @@ def _inertia(x: Array, v: Array, a: Array, force: Array) -> float:
     return float(whole[0] / _size(a)) if told else 0.0
 
 
-def _dissipation(x: Array, v: Array, a: Array, force: Array) -> int:
-    """Sign of the power that friction's terms take, of the whole record; 0 where it is not sure or too little."""
-    spread = _spread(force)
-    if not spread:
+def find_sign(x: Array, v: Array, a: Array, force: Array) -> int:
+    """Sign with which a force leaves less, and friction brakes; 0 where they leave as much, or parts of it differ."""
+    travel = float(np.ptp(x))
+    both = min(float(np.mean(v > 0.0)), float(np.mean(v < 0.0))) >= _BOTH_WAYS
+    if not both or not _is_motion(v, _REAL_VELOCITY):
         return 0
-    A, friction = _terms(x, v, a)
-    if len(friction) < 2:
-        return 0
-    whole, others = _jackknife(A, force)
-    power = [float(np.mean(A[:, friction] @ solution[friction] * v)) for solution in (whole, *others)]
-    told = float(np.std(A[:, friction] @ whole[friction])) > _LARGE * spread and _sure(power[0], power[1:])
-    return int(np.sign(power[0])) if told else 0
+    place = 2.0 * np.pi * (x - x.min()) / travel
+    waves = [wave(k * place) for k in _WAVES for wave in (np.sin, np.cos)]
+    free = np.column_stack([np.ones_like(x), v / _size(v), place, np.sin(x), np.cos(x), *waves])
+    bound = np.column_stack([_stretch(x, length * travel) for length in _LENGTHS])
+    acceleration = (a / _size(a))[:, None]
+    if _is_motion(a, _REAL_ACCELERATION):
+        bound = np.column_stack([bound, acceleration])
+    else:
+        free = np.column_stack([free, acceleration])
+    U, sizes, _ = np.linalg.svd(free, full_matrices=False)
+    U = U[:, sizes > _ALIKE * sizes[0]]
+    A, y = bound - U @ (U.T @ bound), force - U @ (U.T @ force)
+    residuals, friction = {}, {}
+    for sign in (1, -1):
+        solution, _ = nnls(A, sign * y)
+        friction[sign] = float(solution[: len(_LENGTHS)].sum())
+        residuals[sign] = np.array([np.sum(part**2) for part in np.array_split(sign * y - A @ solution, BLOCKS)])
+    better = min(residuals, key=lambda sign: float(residuals[sign].sum()))
+    gains = residuals[-better] - residuals[better]
+    # Of a motion that repeats itself the place explains nearly all, and little is told by what is left.
+    told = y @ y - residuals[better].sum()
+    is_told = told > min(_MOST * (y @ y), _PART * np.sum((force - force.mean()) ** 2))
+    is_clear = residuals[better].sum() < _LESS * residuals[-better].sum()
+    is_clear = is_clear and is_told and -gains[gains < 0].sum() < _AGAINST * gains.sum()
+    return better if is_clear and friction[better] > 0.0 else 0
+
+
+def _stretch(x: Array, length: float) -> Array:
+    """Stretch of a spring that slips at a length, over that, along a motion (n); of friction without a spring at 0."""
+    stretch, stretches = 0.0, []
+    for step in (np.diff(x, prepend=x[0]) / length).tolist():
+        stretch = min(max(stretch + step, -1.0), 1.0)
+        stretches.append(stretch)
+    return np.array(stretches)
 
 
 def _spread(force: Array) -> float:

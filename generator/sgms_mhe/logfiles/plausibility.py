@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.logfiles.newton import ForceBalance, force_balance, since_reversal
-from sgms_mhe.machine import QUANTITIES, Kind, Machine
+from sgms_mhe.logfiles.newton import find_inertia, find_sign, since_reversal
+from sgms_mhe.machine import QUANTITIES, Kind, Machine, log_line
 from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import ImplausibleError, InputError
@@ -45,6 +45,8 @@ STRAIGHT: Final = 1e-9
 """Deviation from a line, over the range: less than any measured signal has."""
 USUAL: Final = 0.98
 """Share of the nodes that count, those with the smallest accelerations: a few jumps of position are no unit."""
+UNSIGNED: Final = 0.02
+"""Share of the largest force below which the smallest is nothing: a number without its sign has none to turn."""
 INTERVAL: Final = 0.01
 """Seconds over which means are taken where no machine says."""
 _TRAVEL: Final = 0.01
@@ -155,18 +157,18 @@ def _check_speed(log: Log, machine: Machine, motion: _Motion) -> None:
         return
     seen = f"beyond {fastest:.3g} {units.velocity} in a twentieth of the record"
     known = f"sampling.max_velocity of {machine.name} is {highest:g} {units.velocity}"
-    balance = _balance(log, machine, motion)
-    is_friction = balance.dissipates > 0 or (balance.dissipates == 0 and balance.inertia > 0.0)
+    inertia, braking = _inertia(motion, machine), _braking(log, motion)
+    is_friction = braking > 0 or (braking == 0 and inertia > 0.0)
     if not is_friction and _fastest(log.force_N, samples, log.rate) <= TOO_FAST * highest:
         remedy = _swap(log)
     else:
         # Millimetres and degrees are what people have; the others where only they make the axis slow enough, or its
         # mass the machine's.
-        usual, ratio = _SMALL[machine.plant.kind], balance.inertia / machine.plant.moved
+        usual, ratio = _SMALL[machine.plant.kind], inertia / machine.plant.moved
         factors = {unit: _units(log, "position_m")[unit][0] for unit in usual}
         slow = [unit for unit in usual if fastest * factors[unit] <= highest] or [usual[0]]
         unit = next((unit for unit in slow if 1 / NEAR <= ratio / factors[unit] <= NEAR), slow[0])
-        remedy = f'another column or unit? [log] has {position} = {{ variable = "...", unit = "{unit}" }}'
+        remedy = f"another column or unit? [log] has {log_line(position, variable='...', unit=unit)}"
     raise _implausible(log, f"column {position}", seen, f"a position in {units.metres}; {known}; {remedy}")
 
 
@@ -177,14 +179,13 @@ def _swap(log: Log) -> str:
 
 def _check_swapped(log: Log, machine: Machine, motion: _Motion) -> None:
     """Refuse columns that say nothing of mass and friction, and are this axis's where each stands for the other."""
-    balance = _balance(log, machine, motion)
-    if balance.inertia != 0.0 or balance.dissipates != 0:
+    if _inertia(motion, machine) != 0.0 or _braking(log, motion) != 0:
         return
     other = replace(log, position_m=log.force_N, force_N=log.position_m)
-    there = _balance(other, machine, _motion(other, machine.sampling.samples_per_update))
-    units, moved = log.units, machine.plant.moved
-    if there.dissipates > 0 and 1.0 / NEAR <= there.inertia / moved <= NEAR:
-        seen = f"no mass and no friction; turned round {there.inertia:.3g} {units.mass} and friction that brakes"
+    there = _motion(other, machine.sampling.samples_per_update)
+    inertia, units, moved = _inertia(there, machine), log.units, machine.plant.moved
+    if 1.0 / NEAR <= inertia / moved <= NEAR and _braking(other, there) > 0:
+        seen = f"no mass and no friction; turned round {inertia:.3g} {units.mass} and friction that brakes"
         allowed = f"a motion and the {units.push} that makes it; {units.named('position_m')} {_swap(log)}"
         raise _implausible(log, _both(log), seen, allowed)
 
@@ -211,6 +212,11 @@ class _Motion:
         sound[sound] = _is_usual(acceleration[sound])
         self.position, self.velocity = nodes[1:-1][sound], (nodes[2:] - nodes[:-2])[sound] * per_second / 2.0
         self.acceleration, self.force = acceleration[sound], mean[sound]
+
+    @property
+    def series(self) -> tuple[Array, Array, Array, Array]:
+        """Position, velocity, acceleration, force."""
+        return self.position, self.velocity, self.acceleration, self.force
 
     def __len__(self) -> int:
         return len(self.force)
@@ -299,33 +305,40 @@ def _unit_near(log: Log, name: str, ratio: float) -> str:
     return "" if found is None else f'unit = "{found}"'
 
 
-def _balance(log: Log, machine: Machine | None, motion: _Motion) -> ForceBalance:
-    """Return the regression of the force on the motion; of no motion it tells nothing."""
+def _inertia(motion: _Motion, machine: Machine | None) -> float:
+    """Force over acceleration [kg, kg m^2]; of no motion it tells nothing."""
     if len(motion) == 0:
-        return ForceBalance(0.0, 0)
+        return 0.0
     distance = _TRAVEL * float(np.ptp(motion.position))
     if machine is not None:
         distance = max(distance, _breakaway(machine))
-    return force_balance(motion.position, motion.velocity, motion.acceleration, motion.force, distance)
+    return find_inertia(*motion.series, distance)
+
+
+def _braking(log: Log, motion: _Motion) -> int:
+    """Sign with which friction brakes and the force is explained; 0 where neither is, or the force has no sign."""
+    finite = log.force_N[np.isfinite(log.force_N)]
+    if len(motion) == 0 or 0.0 <= finite.min() < UNSIGNED * finite.max():
+        return 0
+    return find_sign(*motion.series)
 
 
 def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
     """Refuse a force of the other sign, or whose ratio to the acceleration is no mass of this axis."""
-    balance = _balance(log, machine, motion)
+    inertia = _inertia(motion, machine)
     units = log.units
     position, force = units.named("position_m"), units.named("force_N")
-    share = f"{balance.inertia:.3g} {units.force} per {units.acceleration}"
-    if balance.has_wrong_sign:
-        seen = share if balance.inertia < 0.0 else "drives the motion as no friction does"
+    share = f"{inertia:.3g} {units.force} per {units.acceleration}"
+    if inertia <= 0.0 and _braking(log, motion) < 0:
+        seen = share if inertia < 0.0 else "drives the motion as no friction does"
         allowed = (
             f"a {units.push} that accelerates the axis the way that {position} counts; of the other sign "
-            f'[log] (machine file, --log) has {force} = {{ variable = "...", scale = -1.0 }}, '
-            f"or the same for {position}"
+            f"[log] (machine file, --log) has {_scale_force(log, -1.0)}, or the same for {position}"
         )
         raise _implausible(log, f"column {force}", seen, allowed)
-    if machine is None or balance.inertia == 0.0:
+    if machine is None or inertia == 0.0:
         return
-    ratio = balance.inertia / machine.plant.moved
+    ratio = inertia / machine.plant.moved
     if 1.0 / WRONG_SCALE <= ratio <= WRONG_SCALE:
         return
     # On a crawl the controller answers to a disturbance as a spring does, whose force goes with the acceleration too:
@@ -335,6 +348,13 @@ def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
     moved = f"{machine.plant.moved:g} {units.mass}"
     allowed = f"about plant.{units.inert} of {machine.name}, {moved}; {_remedy(log, machine, ratio)}"
     raise _implausible(log, _both(log), share, allowed)
+
+
+def _scale_force(log: Log, factor: float) -> str:
+    """The line of [log] for a force of `factor` times the scale that it was read by."""
+    keys = {"variable": "...", "scale": 1.0, **log.force_keys}
+    scaled = {key: factor * keys[key] for key in ("scale", "offset") if key in keys}
+    return log_line(log.units.named("force_N"), **keys | scaled)
 
 
 def _breakaway(machine: Machine) -> float:
@@ -362,15 +382,15 @@ def _remedy(log: Log, machine: Machine, ratio: float) -> str:
     for unit in _SMALL[log.kind]:
         factor = _units(log, "position_m")[unit][0]
         if 1 / NEAR <= ratio / factor <= NEAR and fastest * factor <= highest:
-            found.append(f'{position} = {{ variable = "...", unit = "{unit}" }}')
+            found.append(log_line(position, variable="...", unit=unit))
     found += [
-        f'{force} = {{ variable = "...", unit = "{unit}" }}'
+        log_line(force, variable="...", unit=unit)
         for unit, (factor, _) in _units(log, "force_N").items()
         if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR
     ]
-    found.append(f'{force} = {{ variable = "...", scale = {1.0 / ratio:.3g} }}')
+    found.append(_scale_force(log, float(f"{1.0 / ratio:.3g}")))
     known = f"the log determines {units.inert} over scale alone, {ratio * machine.plant.moved:.3g} {units.mass}"
-    return f"[log] (machine file, --log) has {' or '.join(found)}, the scale times the one that it has: {known}"
+    return f"[log] (machine file, --log) has {' or '.join(found)}: {known}"
 
 
 def _rms(values: Array) -> float:
@@ -406,7 +426,7 @@ def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
     small, strong = _SMALL[log.kind], [unit for unit, (factor, _) in strengths.items() if factor != 1.0]
     remedies = [(position, unit) for unit in small if fits(length=lengths[unit][0])][:1]
     remedies += [(force, unit) for unit in strong if fits(strength=strengths[unit][0])]
-    lines = [f'{name} = {{ variable = "...", unit = "{unit}" }}' for name, unit in remedies]
+    lines = [log_line(name, variable="...", unit=unit) for name, unit in remedies]
     seen = (
         f"{needed:.3g} {units.force} rms for plant.{units.inert} = {machine.plant.moved:g} {units.mass} to move so and "
         f"{rubbing:.3g} {units.force} rms for friction.coulomb, {driving:.3g} {units.force} rms measured"

@@ -84,6 +84,7 @@ class LogContent:
             source=str(self.path),
             kind=self.kind,
             payload=self.payload,
+            force_keys=next((source.keys for source in self.sources if source.quantity.role == "force"), {}),
         )
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,7 +33,8 @@ class Log(Shown):
 
     Of a rotary axis `position_m` is its angle [rad], `force_N` the torque [N m], and so on: `kind` says which it is.
     `rate` [Hz] is measured from time_s. The optional columns are used in place of what would be computed. `payload`:
-    whether it moves a mass of its own beside the axis, as `[log] payload` says.
+    whether it moves a mass of its own beside the axis, as `[log] payload` says. `force_keys`: what a line
+    of `[log]` has to say for the force that was read.
     """
 
     time_s: Array
@@ -46,6 +48,7 @@ class Log(Shown):
     source: str = ""
     kind: Kind = "linear"
     payload: bool = False
+    force_keys: Mapping[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_s)
