@@ -137,7 +137,7 @@ def test_a_force_is_to_be_turned_only_where_it_then_brakes_and_leaves_less(load:
     logs = [drawn(seed, load) for seed in range(24)]
     assert [seed for seed, log in enumerate(logs) if advises_to_turn(log)] == []
     turned = sum(advises_to_turn(replace(log, force_N=-log.force_N)) for log in logs)
-    assert turned >= 16 if load in ("none", "gravity", "contact") else turned == 0 or load == "no sign"
+    assert turned >= 22 if load in ("none", "gravity", "contact") else turned == 0
 
 
 @pytest.mark.parametrize(("scale", "said"), [("31.5", -31.5), ("-0.02", 0.02)])

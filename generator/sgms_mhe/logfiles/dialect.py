@@ -102,7 +102,7 @@ def fields_of(line: str, separator: str) -> list[str]:
 
 def _is_list_of_one(field: str) -> bool:
     inner = field[1:-1].strip()
-    return field[-1] == "]" and (_is_value(inner) or is_missing(inner))
+    return field[-1] == "]" and (is_value(inner) or is_missing(inner))
 
 
 def lines_of(text: str) -> list[str]:
@@ -157,7 +157,8 @@ def is_empty(line: str) -> bool:
     return not line.strip(" \t,;|") or _is_comment(line)
 
 
-def _is_value(field: str) -> bool:
+def is_value(field: str) -> bool:
+    """Return True for a number or a time stamp."""
     return is_number(field) or is_clock(field)
 
 
@@ -174,7 +175,7 @@ def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | Non
             count = len(following[0])
             full = [fields for fields in following if len(fields) == count]
             entries = [field for fields in full for field in fields if field]
-            share = sum(map(_is_value, entries)) / len(entries) * len(full) / len(following)
+            share = sum(map(is_value, entries)) / len(entries) * len(full) / len(following)
             if best is None or (share, count) > best[:2]:
                 best = (share, count, separator, found)
         if best is not None:
@@ -195,8 +196,8 @@ def _first_sample(filled: Sequence[tuple[int, str]], separator: str, least: int)
     best, start, rows, count, keys = (False, 0, 0), 0, 0, 0, set[str]()
     for k, (_, line) in enumerate(filled):
         fields = fields_of(line, separator) if separator == " " or separator in line or least == 1 else []
-        values = sum(map(_is_value, fields))
-        key = {field for field in fields[:1] if not _is_value(field) and not is_missing(field)}
+        values = sum(map(is_value, fields))
+        key = {field for field in fields[:1] if not is_value(field) and not is_missing(field)}
         is_keyed = len(keys) == rows > 0
         if values >= least and ((rows < 2 and count != len(fields)) or (is_keyed and not key)):
             start, rows, count, keys = k, 1, len(fields), key
@@ -220,13 +221,13 @@ def _last(filled: Sequence[tuple[int, str]], first: int, separator: str) -> int:
 
 
 def _lead(line: str, separator: str) -> int:
-    return next(k for k, field in enumerate(fields_of(line, separator)) if _is_value(field))
+    return next(k for k, field in enumerate(fields_of(line, separator)) if is_value(field))
 
 
 def is_row(line: str, separator: str, lead: int) -> bool:
     """Return True if a line begins as samples do: a value, or nothing, in the field `lead` or the first behind it."""
     begins = next((field for field in fields_of(line, separator)[lead:] if field), "")
-    return _is_value(begins) or is_missing(begins)
+    return is_value(begins) or is_missing(begins)
 
 
 def _header(path: Path, above: Sequence[str], separator: str, count: int, closed: bool, stated: int | None) -> Header:

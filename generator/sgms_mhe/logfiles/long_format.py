@@ -8,10 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from sgms_mhe.logfiles.decimals import is_missing, is_number
-from sgms_mhe.logfiles.dialect import Dialect, fields_of
+from sgms_mhe.logfiles.decimals import is_missing
+from sgms_mhe.logfiles.dialect import Dialect, fields_of, is_value
 from sgms_mhe.logfiles.names import is_usual, plain_name
-from sgms_mhe.logfiles.stamps import is_clock
 from sgms_mhe.logfiles.table import Array, Column, Table
 from sgms_mhe.machine import LogMapping
 from sgms_mhe.support.errors import InputError
@@ -32,7 +31,7 @@ def pivot(path: Path, table: Table, dialect: Dialect, hints: LogMapping | None) 
     probe = [fields_of(line, dialect.separator) for _, line in dialect.rows[:_PROBE]]
     fields = [[row[k] if k < len(row) else "" for row in probe] for k in range(len(table.columns))]
     stated = None if hints is None else hints.channel
-    numeric = [k for k, column in enumerate(fields) if any(map(_is_value, column)) and all(map(_is_entry, column))]
+    numeric = [k for k, column in enumerate(fields) if any(map(is_value, column)) and all(map(_is_entry, column))]
     if stated is None:
         names = [k for k, column in enumerate(fields) if _are_names(column)]
         if len(names) != 1 or len(numeric) != 2:
@@ -52,12 +51,8 @@ def pivot(path: Path, table: Table, dialect: Dialect, hints: LogMapping | None) 
     return _pivot(table, dialect, channel, time, value)
 
 
-def _is_value(field: str) -> bool:
-    return is_number(field) or is_clock(field)
-
-
 def _is_entry(field: str) -> bool:
-    return _is_value(field) or is_missing(field)
+    return is_value(field) or is_missing(field)
 
 
 def _are_names(column: Sequence[str]) -> bool:

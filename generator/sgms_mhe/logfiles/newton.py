@@ -59,9 +59,17 @@ def find_inertia(x: Array, v: Array, a: Array, force: Array, distance: float) ->
         distance: behind a reversal after which friction has its new direction.
     """
     sliding = since_reversal(x, distance) > distance
-    if not _is_motion(a[sliding], _REAL_ACCELERATION):
+    x, v, a, force = (values[sliding] for values in (x, v, a, force))
+    if not _is_motion(a, _REAL_ACCELERATION):
         return 0.0
-    return _inertia(*(values[sliding] for values in (x, v, a, force)))
+    A = _terms(x, v, a)
+    whole, others = _jackknife(A, force)
+    # Acceleration that the other terms would take on themselves says nothing: only the rest of it does.
+    rest = A[:, 0] - A[:, 1:] @ np.linalg.lstsq(A[:, 1:], A[:, 0], rcond=None)[0]
+    # A small part is no accident either where still less is left unexplained.
+    least = min(_LARGE * float(np.std(force)), float(np.std(force - A @ whole)))
+    told = abs(whole[0]) * float(np.std(rest)) > least and _sure(whole[0], [other[0] for other in others])
+    return float(whole[0] / _size(a)) if told else 0.0
 
 
 def _is_motion(values: Array, least: float) -> bool:
@@ -75,43 +83,25 @@ def _is_motion(values: Array, least: float) -> bool:
     return float(np.std(longer)) > least * float(np.std(values))
 
 
-def _inertia(x: Array, v: Array, a: Array, force: Array) -> float:
-    """c of the sliding part, or 0 where it is not sure or too little of the force."""
-    spread = _spread(force)
-    if not spread:
-        return 0.0
-    A, _ = _terms(x, v, a)
-    whole, others = _jackknife(A, force)
-    # Acceleration that the other terms would take on themselves says nothing: only the rest of it does.
-    rest = A[:, 0] - A[:, 1:] @ np.linalg.lstsq(A[:, 1:], A[:, 0], rcond=None)[0]
-    # A small part is no accident either where still less is left unexplained.
-    least = min(_LARGE * spread, float(np.std(force - A @ whole)))
-    told = abs(whole[0]) * float(np.std(rest)) > least and _sure(whole[0], [other[0] for other in others])
-    return float(whole[0] / _size(a)) if told else 0.0
-
-
 def find_sign(x: Array, v: Array, a: Array, force: Array) -> int:
     """Sign with which a force leaves less, and friction brakes; 0 where they leave as much, or parts of it differ."""
-    travel = float(np.ptp(x))
-    both = min(float(np.mean(v > 0.0)), float(np.mean(v < 0.0))) >= _BOTH_WAYS
-    if not both or not _is_motion(v, _REAL_VELOCITY):
+    if not _is_motion(v, _REAL_VELOCITY) or not _goes_both_ways(v):
         return 0
+    travel, real = float(np.ptp(x)), _is_motion(a, _REAL_ACCELERATION)
     place = 2.0 * np.pi * (x - x.min()) / travel
     waves = [wave(k * place) for k in _WAVES for wave in (np.sin, np.cos)]
-    free = np.column_stack([np.ones_like(x), v / _size(v), place, np.sin(x), np.cos(x), *waves])
-    bound = np.column_stack([_stretch(x, length * travel) for length in _LENGTHS])
-    acceleration = (a / _size(a))[:, None]
-    if _is_motion(a, _REAL_ACCELERATION):
-        bound = np.column_stack([bound, acceleration])
-    else:
-        free = np.column_stack([free, acceleration])
+    # An acceleration that is noise explains what it can, and tells no sign.
+    free = np.column_stack(
+        [np.ones_like(x), v / _size(v), place, np.sin(x), np.cos(x), *waves, (not real) * a / _size(a)]
+    )
+    bound = np.column_stack([real * a / _size(a), *(_stretch(x, length * travel) for length in _LENGTHS)])
     U, sizes, _ = np.linalg.svd(free, full_matrices=False)
     U = U[:, sizes > _ALIKE * sizes[0]]
     A, y = bound - U @ (U.T @ bound), force - U @ (U.T @ force)
     residuals, friction = {}, {}
     for sign in (1, -1):
         solution, _ = nnls(A, sign * y)
-        friction[sign] = float(solution[: len(_LENGTHS)].sum())
+        friction[sign] = float(solution[1:].sum())
         residuals[sign] = np.array([np.sum(part**2) for part in np.array_split(sign * y - A @ solution, BLOCKS)])
     better = min(residuals, key=lambda sign: float(residuals[sign].sum()))
     gains = residuals[-better] - residuals[better]
@@ -124,7 +114,7 @@ def find_sign(x: Array, v: Array, a: Array, force: Array) -> int:
 
 
 def _stretch(x: Array, length: float) -> Array:
-    """Stretch of a spring that slips at a length, over that, along a motion (n); of friction without a spring at 0."""
+    """Stretch of a spring that slips at a length, over that, along a motion (n)."""
     stretch, stretches = 0.0, []
     for step in (np.diff(x, prepend=x[0]) / length).tolist():
         stretch = min(max(stretch + step, -1.0), 1.0)
@@ -132,23 +122,18 @@ def _stretch(x: Array, length: float) -> Array:
     return np.array(stretches)
 
 
-def _spread(force: Array) -> float:
-    return float(np.std(force)) if len(force) >= _LEAST_ROWS else 0.0
-
-
 def _size(column: Array) -> float:
     return float(np.sqrt(np.mean(column**2))) or 1.0
 
 
-def _terms(x: Array, v: Array, a: Array) -> tuple[Array, list[int]]:
-    """(terms of the force (n, k), each of size 1, the acceleration first; which of them are friction's).
+def _terms(x: Array, v: Array, a: Array) -> Array:
+    """Terms of the force (n, k), each of size 1, the acceleration first; in one direction friction is an offset."""
+    columns = [a, x - x.mean(), np.ones_like(a), v, *([np.sign(v)] if _goes_both_ways(v) else [])]
+    return np.column_stack([column / _size(column) for column in columns])
 
-    In one direction alone a friction is an offset: there v is a term, and none is friction's.
-    """
-    forward = float(np.mean(v > 0.0))
-    both = forward >= _BOTH_WAYS and float(np.mean(v < 0.0)) >= _BOTH_WAYS
-    columns = [a, x - x.mean(), np.ones_like(a), v, *([np.sign(v)] if both else [])]
-    return np.column_stack([column / _size(column) for column in columns]), [3, 4] if both else []
+
+def _goes_both_ways(v: Array) -> bool:
+    return min(float(np.mean(v > 0.0)), float(np.mean(v < 0.0))) >= _BOTH_WAYS
 
 
 def _jackknife(A: Array, force: Array) -> tuple[Array, list[Array]]:
