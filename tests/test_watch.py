@@ -221,6 +221,9 @@ def test_a_summary_is_left_out_and_words_before_a_sample_are_not() -> None:
         list(followed([content + b"Mean;1;2\n0.1;1;2\n"], machine()))
 
 
+SCALED = b"Name\tActPos\tForce\nInterval(ms)\t1\t1\nUnit\tmm\tN\nScaleFactor\t0.001\t1\n"
+
+
 @pytest.mark.parametrize(
     ("content", "log", "message"),
     [
@@ -231,6 +234,7 @@ def test_a_summary_is_left_out_and_words_before_a_sample_are_not() -> None:
         (rows(80, lambda k: f"{k * 2e-3:.3f};{k};{k}"), {"resample": True}, "500 Hz"),
         (rows(80, lambda k: f"{(k + k % 2 * 0.3) * 1e-3:.5f};{k};{k}"), {"resample": True}, "replay it without"),
         (b"x" * 1_100_000, {}, "a line end within"),
+        (SCALED + rows(80, lambda k: f"{k}\t{k}\t{k}", "").lstrip(), {}, "key rows .* without --follow"),
     ],
 )
 def test_what_cannot_be_followed_is_refused(content: bytes, log: dict[str, Any], message: str) -> None:

@@ -192,7 +192,10 @@ class _Rows:
     """
 
     def __init__(self, path: Path, machine: Machine, dialect: Dialect) -> None:
-        hints, lines = machine.log, [line for _, line in dialect.rows]
+        hints, lines, header = machine.log, [line for _, line in dialect.rows], dialect.header
+        if header.clocks or header.scales or header.steps:
+            allowed = "samples of one clock; what its key rows state needs the whole log: replay it without --follow"
+            raise InputError(path, f"line {header.line}", ", ".join(header.names[:8]), allowed)
         cells = Cells(path, dialect, hints)
         self._path, self._rate = path, None if hints is None else hints.rate
         self._table = Table(

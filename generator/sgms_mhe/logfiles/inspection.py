@@ -73,17 +73,15 @@ class Inspection:
         return {
             "name": source.quantity.column,
             "from": source.description,
-            "unit": source.unit,
-            "because": source.because,
-            "scale": source.scale,
-            "offset": source.offset,
-            "counts_per": source.counts_per,
-            "wrap": source.wrap,
-            "signed": source.signed,
+            **{key: getattr(source, key) for key in _SHOWN},
             "min": float(finite.min()),
             "max": float(finite.max()),
             "missing": len(values) - len(finite),
         }
+
+
+_SHOWN: Final = ("unit", "because", "scale", "offset", "counts_per", "wrap", "signed")
+"""What is shown of a column's source."""
 
 
 @dataclass(frozen=True)

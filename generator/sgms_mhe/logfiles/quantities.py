@@ -229,21 +229,16 @@ def _check_signed(path: Path, source: Source, values: Array, row: Callable[[int]
     is_whole = np.abs(levels - np.rint(levels)).max() < _WHOLE
     least = 1.0 if is_whole else float(np.diff(levels).min())
     counts = np.rint(known / least)
-    bits = next((bits for bits in REGISTERS if 2.0 ** (bits - 1) <= counts.max() < 2.0**bits), None)
-    if bits is None or np.abs(known / least - counts).max() > _WHOLE:
-        return
-    period = 2.0**bits
-    turned = _centre(counts, period)
-    jumps = np.flatnonzero(np.abs(np.diff(counts)) > 0.5 * period)
-    left = np.count_nonzero(np.abs(np.diff(turned)) > 0.25 * period)
+    bits = next((bits for bits in REGISTERS if counts.max() < 2.0**bits), 0)
+    turned = _centre(counts, 2.0**bits)
+    jumps = np.flatnonzero(np.abs(np.diff(counts)) > 0.5 * 2.0**bits)
+    left = np.count_nonzero(np.abs(np.diff(turned)) > 0.25 * 2.0**bits)
     # Both signs have several values: on and off would have one each, the ends of the range.
-    if (
-        len(jumps) == 0
-        or left > _LEFT * len(jumps)
-        or min(len(np.unique(turned[s * turned > 0.0])) for s in (1, -1)) < 2
-    ):
+    fewest = min(len(np.unique(turned[sign * turned > 0.0])) for sign in (1, -1))
+    is_counted = bits > 0 and np.abs(known / least - counts).max() < _WHOLE
+    if not is_counted or not len(jumps) or left > _LEFT * len(jumps) or fewest < 2:
         return
-    more = {"signed": bits} if is_whole else {"wrap": period * least}
+    more = {"signed": bits} if is_whole else {"wrap": 2.0**bits * least}
     seen = f"jumps by {known[jumps[0] + 1] - known[jumps[0]]:.6g}, {len(jumps)} such jumps"
     allowed = (
         f"a number with its sign; an unsigned record of a signed number of {bits} bits, as this one seems, "
