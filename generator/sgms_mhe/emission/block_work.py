@@ -6,15 +6,11 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
-from sgms_mhe.emission.compensation import FARTHEST_MOVE, FeedForward
-from sgms_mhe.emission.element_law import RK4, EmittedFlow
+from sgms_mhe.emission.compensation import FARTHEST_MOVE
+from sgms_mhe.emission.context import PackageView
+from sgms_mhe.emission.element_law import RK4
 from sgms_mhe.emission.groups import GroupView
 from sgms_mhe.emission.operations import EXP, EXP2, LOG, operations_of
-from sgms_mhe.emission.schedule import Costs
-from sgms_mhe.emission.sizes import Sizes
-from sgms_mhe.emission.structure import Structure
-from sgms_mhe.emission.variant import Variant
-from sgms_mhe.machine.sampling import Sampling
 
 LAW = 70
 """The law of one element beside its level, and what it needs of the signals."""
@@ -24,37 +20,6 @@ WAY = 2
 """How far an element goes in a step, and which way."""
 ROW_OF_STAGE, ROW_OF_LAST_STAGE = 5, 12
 """State and sum of a row that moves in one Runge-Kutta stage; in the last one its end as well."""
-
-
-@dataclass(frozen=True)
-class Ingredients:
-    """Inputs to the work of a package beside its groups.
-
-    Attributes:
-        reach: as in `Couplings`.
-        signals: signals that are sample terms themselves.
-        mean_samples: velocities that the first sample fills, of a mean acceleration.
-        terms, output, feed_forward, parameter_terms: operations of the model's functions; terms at one node.
-    """
-
-    structure: Structure
-    sizes: Sizes
-    variant: Variant
-    schedule: Costs
-    flow: EmittedFlow | None
-    compensation: FeedForward
-    reach: tuple[int, ...]
-    signals: int
-    mean_samples: int
-    terms: int
-    output: int
-    feed_forward: int
-    parameter_terms: int
-
-    @property
-    def sampling(self) -> Sampling:
-        """Of the machine file."""
-        return self.structure.model.machine.sampling
 
 
 @dataclass(frozen=True)
@@ -76,7 +41,7 @@ class GroupWork:
     substeps: tuple[int, ...]
 
 
-def group_work(g: GroupView, of: Ingredients) -> GroupWork:
+def group_work(g: GroupView, of: PackageView) -> GroupWork:
     """The work of a group's blocks."""
     costs = _Costs(g, of)
     return GroupWork(
@@ -91,7 +56,7 @@ def group_work(g: GroupView, of: Ingredients) -> GroupWork:
 class _Costs:
     """Costs of one group."""
 
-    def __init__(self, g: GroupView, of: Ingredients) -> None:
+    def __init__(self, g: GroupView, of: PackageView) -> None:
         m, n_q, rows = g.sizes.m, g.sizes.n_q, g.sizes.rows
         self.g, self.of = g, of
         self.level = operations_of(g.level)
@@ -101,7 +66,7 @@ class _Costs:
         self.substep = len(RK4) * (stage + ROW_OF_STAGE * rows) + (ROW_OF_LAST_STAGE - ROW_OF_STAGE) * rows
         # Times within a step at which terms are interpolated; the start of a substep is the end of the one before.
         self.times = 1 + sum(before.c != after.c for before, after in pairwise(RK4))
-        self.interpolated = 6 + 3 * of.signals + of.terms
+        self.interpolated = 6 + 3 * len(of.signals.raw) + operations_of(of.model.sample_terms)
 
     # --- a step of the series ---
 
@@ -254,20 +219,20 @@ class _Costs:
 
     def ahead(self, k: int) -> int:
         """The propagation ahead of block k, over the lag and over the delay."""
-        compensation, sampling = self.of.compensation, self.of.sampling
-        lag = compensation.lag + (sampling.merged * sampling.step if sampling.merged > 1 else 0.0)
+        compensation = self.of.compensation
+        lag = compensation.lag + (self.of.signals.step_time if self.of.variant.merges else 0.0)
         durations = [lag, compensation.delay][: compensation.moves]
         return sum(self._move(k, duration) for duration in durations)
 
     def _move(self, k: int, duration: float) -> int:
         """One move of block k."""
-        g, ahead, sampling = self.g, self.of.compensation.ahead, self.of.sampling
-        upstream = operations_of(g.upstream) * (1 + round(duration * sampling.rate))
+        g, ahead, signals = self.g, self.of.compensation.ahead, self.of.signals
+        upstream = operations_of(g.upstream) * (1 + round(duration * signals.rate))
         if ahead is None:
             return upstream + self.level + 10
         per_metre, per_second = g.blocks[k].ahead_steps
         flowed = self._psi_and_back(EXP2, 2)
-        speed = sampling.max_velocity
+        speed = signals.max_velocity
         if g.slow_ahead:
             steps = 1 + int(ahead.gate_velocity * ahead.longest * per_metre)
             return 2 * self.level + 12 + max(flowed + 6, 4 + self.drive + steps * (self.rhs + 6))

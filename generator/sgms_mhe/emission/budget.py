@@ -1,15 +1,66 @@
-"""The budget of a tick: a machine whose longest tick takes more is refused, with what to change."""
+"""What the calls take at most, and the budget of a tick: a machine whose longest takes more is refused."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
-from sgms_mhe.emission.work import Part, Work
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.errors import InputError
 
 OPERATION_RATE: Final = 250e6
 """Operations per second of the default budget: a Cortex-M7 at 600 MHz, single precision, 2.4 cycles each."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Share of one group of blocks in the longest tick.
+
+    Attributes:
+        states: of its blocks, by name.
+        operations: of a tick.
+        substeps: Runge-Kutta substeps of a step of the block that takes most of them.
+        in_closed_form: steps are taken by the displacement flow or by clips.
+    """
+
+    states: tuple[str, ...]
+    operations: int
+    substeps: int
+    in_closed_form: bool
+
+
+@dataclass(frozen=True)
+class Work:
+    """Operations at most.
+
+    Attributes:
+        sample: of sample() or insert().
+        tick: of tick().
+        unit: of the largest unit of prepare().
+        prepare: of prepare(). feedback: of feedback() where prepare() ran before any measurement inside the interval
+            came.
+        update: of all calls of one interval.
+        parts: what of a tick the groups of blocks take, largest first.
+    """
+
+    sample: int
+    tick: int
+    unit: int
+    prepare: int
+    feedback: int
+    update: int
+    parts: tuple[Part, ...]
+
+    @property
+    def stated(self) -> tuple[tuple[str, int, str], ...]:
+        """(call, operations, remark), as header and page state them."""
+        return (
+            ("tick()", self.tick, ""),
+            ("sample()", self.sample, "insert() too"),
+            ("prepare()", self.prepare, f"in units of at most {self.unit}"),
+            ("feedback()", self.feedback, "after prepare()"),
+            ("an update", self.update, "all calls of an interval"),
+        )
 
 
 def tick_budget(machine: Machine) -> float:

@@ -9,20 +9,18 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe import __version__
-from sgms_mhe.emission.block_work import Ingredients
+from sgms_mhe.emission.budget import Work
 from sgms_mhe.emission.c_source import CPrinter, Function, FunctionPrinter, Output, entries, scalar
 from sgms_mhe.emission.clock import Clock, clock_of
 from sgms_mhe.emission.compensation import FeedForward, compensation_of
 from sgms_mhe.emission.couplings import Couplings, couplings_of
 from sgms_mhe.emission.element_law import RK4, ElementLaw, EmittedFlow, Stage, element_law, flow_of
 from sgms_mhe.emission.groups import GroupView, group_views
-from sgms_mhe.emission.operations import operations_of
 from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, names_read, node_scale, sizes_of
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Status, Variant, statuses_of, variant_of
-from sgms_mhe.emission.work import Work, work_of
 from sgms_mhe.machine import Machine, Units
 from sgms_mhe.model import FreeParameter, Model
 from sgms_mhe.signals.chain import lowpass_coefficients, mean_samples, settle_samples
@@ -223,6 +221,7 @@ class ModelView:
     feed_forward: Function
     parameter_columns: tuple[str, ...]
     parameter_units: tuple[float, ...]
+    state_names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -234,7 +233,7 @@ class PackageView:
         flow: constants of the displacement flow, where a group follows it.
         statuses: of an update, and what each asks for.
         vectors: self-test vectors, where the package has them.
-        work: what the calls take at most.
+        work: what the calls take at most, once the rest is known.
         tables: (name, values) of what the model looks up by position.
     """
 
@@ -254,7 +253,7 @@ class PackageView:
     compensation: FeedForward
     statuses: tuple[Status, ...]
     vectors: Vectors | None
-    work: Work
+    work: Work | None
     tables: tuple[tuple[str, tuple[float, ...]], ...]
 
 
@@ -267,41 +266,25 @@ def package_view(structure: Structure) -> PackageView:
     variant = variant_of(model)
     sizes = sizes_of(structure, variant)
     groups = group_views(structure, sizes, functions)
-    signals, couplings = _signals(structure), couplings_of(structure, sizes)
-    model_view = _model_view(structure, functions, signals.of_rows)
-    ingredients = Ingredients(
-        structure=structure,
-        sizes=sizes,
-        variant=variant,
-        schedule=schedule_of(sizes, variant),
-        flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
-        compensation=compensation_of(machine),
-        reach=couplings.reach,
-        signals=len(signals.raw),
-        mean_samples=signals.mean_samples,
-        terms=operations_of(model_view.sample_terms),
-        output=operations_of(model_view.output),
-        feed_forward=operations_of(model_view.feed_forward),
-        parameter_terms=operations_of(model_view.parameter_terms),
-    )
+    signals = _signals(structure)
     return PackageView(
         package=_identity(machine, printer),
         units=machine.plant.units,
         variant=variant,
         sizes=sizes,
-        schedule=ingredients.schedule,
+        schedule=schedule_of(sizes, variant),
         signals=signals,
         weights=_weights(model, variant),
-        couplings=couplings,
-        model=model_view,
+        couplings=couplings_of(structure, sizes),
+        model=_model_view(structure, functions, signals.of_rows),
         groups=groups,
         rk4=RK4,
         law=element_law(machine) if any(g.obeys_law for g in groups) else None,
-        flow=ingredients.flow,
-        compensation=ingredients.compensation,
+        flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
+        compensation=compensation_of(machine),
         statuses=statuses_of(machine, variant),
         vectors=None,
-        work=work_of(groups, ingredients),
+        work=None,
         tables=tuple((name, values) for values, name in printer.tables.items()),
     )
 
@@ -434,6 +417,7 @@ def _model_view(structure: Structure, functions: FunctionPrinter, of_rows: Seque
         feed_forward=functions.model_function(point, [scalar("y", _to_node_state(model, model.feed_forward))]),
         parameter_columns=tuple(p.column for p in model.parameters),
         parameter_units=tuple(abs(p.scale) for p in model.parameters),
+        state_names=tuple(state.name for state in model.states),
     )
 
 

@@ -13,6 +13,7 @@ from sgms_mhe.emission.delivery import accompany, memory_of_package, write_folde
 from sgms_mhe.emission.rendering import amalgamate_files, render, stamp_digest
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.emission.structure import analyse, report
+from sgms_mhe.emission.work import work_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.support.errors import InputError
@@ -65,8 +66,10 @@ def emit_package(
         raise InputError(machine.source, "estimator.parameters", [], "at least one parameter to estimate")
     structure = analyse(model)
     view = package_view(structure)
+    work = work_of(view)
+    view = replace(view, work=work)
     if within_budget:
-        check_budget(machine, view.work)
+        check_budget(machine, work)
     if selftest:
         view = replace(view, vectors=selftest_vectors(model))
     view = stamp_digest(view)

@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sgms_mhe.emission.block_work import GroupWork, Ingredients, group_work
+from sgms_mhe.emission.block_work import GroupWork, group_work
+from sgms_mhe.emission.budget import Part, Work
+from sgms_mhe.emission.context import PackageView
 from sgms_mhe.emission.groups import GroupView
 from sgms_mhe.emission.operations import (
     SQRT,
@@ -17,6 +19,7 @@ from sgms_mhe.emission.operations import (
     back_substitution,
     box_least_squares,
     grown,
+    operations_of,
     reflection,
     variances,
 )
@@ -28,57 +31,6 @@ SAMPLE = 60
 
 
 @dataclass(frozen=True)
-class Part:
-    """Share of one group of blocks in the longest tick.
-
-    Attributes:
-        states: of its blocks, by name.
-        operations: of a tick.
-        substeps: Runge-Kutta substeps of a step of the block that takes most of them.
-        in_closed_form: steps are taken by the displacement flow or by clips.
-    """
-
-    states: tuple[str, ...]
-    operations: int
-    substeps: int
-    in_closed_form: bool
-
-
-@dataclass(frozen=True)
-class Work:
-    """Operations at most.
-
-    Attributes:
-        sample: of sample() or insert().
-        tick: of tick().
-        unit: of the largest unit of prepare().
-        prepare: of prepare(). feedback: of feedback() where prepare() ran before any measurement inside the interval
-            came.
-        update: of all calls of one interval.
-        parts: what of a tick the groups of blocks take, largest first.
-    """
-
-    sample: int
-    tick: int
-    unit: int
-    prepare: int
-    feedback: int
-    update: int
-    parts: tuple[Part, ...]
-
-    @property
-    def stated(self) -> tuple[tuple[str, int, str], ...]:
-        """(call, operations, remark), as header and page state them."""
-        return (
-            ("tick()", self.tick, ""),
-            ("sample()", self.sample, "insert() too"),
-            ("prepare()", self.prepare, f"in units of at most {self.unit}"),
-            ("feedback()", self.feedback, "after prepare()"),
-            ("an update", self.update, "all calls of an interval"),
-        )
-
-
-@dataclass(frozen=True)
 class Unit:
     """Unit of prepare(): its cost to the schedule, its operations at most, and whether it is a step of the series."""
 
@@ -87,21 +39,24 @@ class Unit:
     is_step: bool = False
 
 
-def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
+def work_of(of: PackageView) -> Work:
     """The work of a package."""
     sizes, variant = of.sizes, of.variant
-    groups = [(g, group_work(g, of)) for g in views]
+    groups = [(g, group_work(g, of)) for g in of.groups]
+    terms, signals = operations_of(of.model.sample_terms), len(of.signals.raw)
     least_squares = _LeastSquares(of)
     newest = {g.name: work.shared + work.together for g, work in groups}
     ahead = {g.name: work.ahead for g, work in groups}
-    without_step = FILTERS + SAMPLE + of.compensation.moves * of.terms + of.feed_forward + sizes.states
-    without_step += of.mean_samples + 4 * of.signals + sum(ahead.values())
-    newest_step = sizes.nodes * (of.terms + 3 * of.signals) + sum(newest.values())
+    without_step = (
+        FILTERS + SAMPLE + of.compensation.moves * terms + operations_of(of.model.feed_forward) + sizes.states
+    )
+    without_step += of.signals.mean_samples + 4 * signals + sum(ahead.values())
+    at_nodes = sizes.nodes * (terms + 3 * signals)
+    newest_step = at_nodes + sum(newest.values())
     reading = least_squares.taken() if sizes.inner else 0
     sample = without_step + newest_step + reading
     of_step = _step(groups, of)
-    anew = sum(of_step.values()) + (sizes.nodes * (of.terms + 3 * of.signals) if variant.relinearise == "auto" else 0)
-    names = [state.name for state in of.structure.model.states]
+    anew = sum(of_step.values()) + (at_nodes if variant.relinearise == "auto" else 0)
     feedback = least_squares.feedback()
     units, in_sample, left_over = [], [], 0
     if variant.horizon:
@@ -118,7 +73,7 @@ def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
     steps_in_sample = sum(unit.is_step for unit in in_sample)
     parts = tuple(
         Part(
-            states=tuple(names[i] for b in g.blocks for i in b.states),
+            states=tuple(of.model.state_names[i] for b in g.blocks for i in b.states),
             operations=newest[g.name] + ahead[g.name] + steps_in_sample * of_step.get(g.name, 0),
             substeps=max(work.substeps),
             in_closed_form=g.follows_flow or g.switches,
@@ -137,7 +92,7 @@ def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
     )
 
 
-def _step(groups: Sequence[tuple[GroupView, GroupWork]], of: Ingredients) -> dict[str, int]:
+def _step(groups: Sequence[tuple[GroupView, GroupWork]], of: PackageView) -> dict[str, int]:
     """Return the operations of each group in one step of the series of older intervals."""
     intervals = {"all": of.sizes.slots, "auto": 1, "newest": 0}[of.variant.relinearise]
     return {g.name: intervals * (work.shared + work.together) for g, work in groups}
@@ -146,15 +101,16 @@ def _step(groups: Sequence[tuple[GroupView, GroupWork]], of: Ingredients) -> dic
 class _LeastSquares:
     """Costs of measurements, of the sweep and of the feedback."""
 
-    def __init__(self, of: Ingredients) -> None:
+    def __init__(self, of: PackageView) -> None:
         self.of, self.sizes, self.variant = of, of.sizes, of.variant
         sizes, n_x, n_p = of.sizes, of.sizes.states, of.sizes.parameters
         kept, factor = sizes.kept_width, sizes.factor_rows
         width = factor + 1
-        self.condensed = sum(reflection(rows, kept, c) for c, rows in enumerate(of.reach))
+        self.condensed = sum(reflection(rows, kept, c) for c, rows in enumerate(of.couplings.reach))
         self.condensed += sum(reflection(n_x - 1 - c, width, c) for c in range(n_x - 1)) + n_x
-        self.node_row = of.output + 2 * factor + 1
-        self.inner_row = of.output + 1 + 2 * n_x * (sizes.coupled + sizes.entered + 1) + 2 * n_p
+        self.output = operations_of(of.model.output)
+        self.node_row = self.output + 2 * factor + 1
+        self.inner_row = self.output + 1 + 2 * n_x * (sizes.coupled + sizes.entered + 1) + 2 * n_p
         # A self-scaled measurement takes its innovation in besides, and an update the factors on variances.
         self.lasting = 24 + 19 * n_p if of.variant.self_scaling else 0
         weighed = sum(2 * i + 5 for i in range(factor)) + 30 + SQRT + (7 + SQRT if of.variant.self_scaling else 0)
@@ -235,14 +191,14 @@ class _LeastSquares:
         sizes, variant = self.sizes, self.variant
         n_x, n_p = sizes.states, sizes.parameters
         solved = box_least_squares(n_p) if variant.bounded else back_substitution(n_p)
-        checked = variances(n_p) + 3 * n_x + 4 * n_p + 14 + self.of.output
-        again = n_x + n_p + self.of.parameter_terms + sum(map(len, sizes.block_states))
+        checked = variances(n_p) + 3 * n_x + 4 * n_p + 14 + self.output
+        again = n_x + n_p + operations_of(self.of.model.parameter_terms) + sum(map(len, sizes.block_states))
         if variant.bounded and not variant.horizon:  # the posterior's mean moves into the bounds
             again += sizes.factor_rows * (sizes.factor_rows + 1)
         newest = self.ends() + self.condensed + (0 if variant.horizon else self.drift)
         reading = self.node_row + self.folded
         # Noise that comes with the path.
-        checked += self.lasting + (8 + SQRT if self.of.structure.model.noise_travel.any() else 0)
+        checked += self.lasting + (8 + SQRT if self.of.weights.noise_length > 0.0 else 0)
         return newest + reading + solved + 2 * n_x * (n_p + n_x) + back_substitution(n_x) + checked + again
 
 
