@@ -21,6 +21,7 @@ class BenchVariant:
         sensitivity_error: largest error of its derivatives in the node before and in the scaled parameters.
         integrator: scheme and largest displacement of a step; of the flow, below its gate's speed.
         trajectory: the motion.
+        instructions_plain: instructions_mean of what -O2 alone compiles.
     """
 
     name: str
@@ -34,6 +35,7 @@ class BenchVariant:
     sensitivity_error: float | None
     integrator: str
     trajectory: str
+    instructions_plain: float | None
 
 
 @dataclass(frozen=True)

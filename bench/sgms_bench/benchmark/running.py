@@ -41,6 +41,8 @@ Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
 
 PRECISIONS: Final = ("double", "single")
+PLAIN_FLAGS: Final = ("-std=c99", "-O2")
+"""Those of a build that nobody thought about: variants are counted with them besides."""
 RUNS: Final = 5
 PEER_RUNS: Final = 25
 """Timed runs; of each update the fastest counts, which leaves out what else the host does. A peer's run is short."""
@@ -244,7 +246,8 @@ class Bench:
     def variant(self, name: str, machine: Machine, relinearise: str, recording: SampledMotion) -> BenchVariant:
         """Time, count and check one variant on a motion."""
         package = emit_package(machine, selftest=False)
-        times, instructions = self._update_cost(machine, package, recording.log)
+        times, instructions = self._update_cost(machine, package, recording.log, self.flags)
+        _, plain = self._update_cost(machine, package, recording.log, PLAIN_FLAGS)
         errors = emitted_errors(machine, package, recording)
         integrator = machine.sampling.integrator
         step = integrator.slow_displacement if integrator.scheme == "flow" else integrator.displacement
@@ -260,6 +263,7 @@ class Bench:
             sensitivity_error=errors[1],
             integrator=f"{integrator.scheme} {step:g}",
             trajectory=recording.name,
+            instructions_plain=None if plain is None else float(plain.mean()),
         )
 
     def peer(self, kind: Kind, steps: int, recording: SampledMotion) -> Peer:
@@ -301,6 +305,7 @@ class Bench:
                 variant,
                 emit_package(variant, selftest=False),
                 simulate_axis(variant, swing(variant, filling + SWEEP_UPDATES), _PRESCRIBED, truth=False).log,
+                self.flags,
             )
             points.append(
                 BenchPoint(
@@ -316,9 +321,11 @@ class Bench:
             over, machine.code.precision, tuple(points), "instructions" if counted else "us", exponent, marginal
         )
 
-    def _update_cost(self, machine: Machine, package: Package, log: Log) -> tuple[Array, Array | None]:
+    def _update_cost(
+        self, machine: Machine, package: Package, log: Log, flags: Sequence[str]
+    ) -> tuple[Array, Array | None]:
         """Microseconds (u, 3) and instructions (u) of every update with a full window; of all where none is full."""
-        harness = build_harness(machine, package, self.flags)
+        harness = build_harness(machine, package, flags)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "log.csv"
             write_log(path, log)
