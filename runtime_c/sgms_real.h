@@ -62,9 +62,9 @@ typedef uint64_t sgms_unsigned;
 #error "define SGMS_FENCE() as a barrier to memory, or SGMS_ONE_TASK where one task calls"
 #endif
 
-/* Whether the code takes the form that compilers vectorise; results are the same to the bit. It pays
- * with wide registers (-O3 -mavx2). With those that every x86-64 and Arm has it pays from gcc -O3 on,
- * if at all, which a compiler does not tell: define it as 1 there. */
+/* Whether the code takes the form that compilers vectorise; results are the same to the bit. It
+ * pays with wide registers (-O3 -mavx2). With those of 128 bits it pays from gcc -O3 on, if at all,
+ * which a compiler does not tell: define it as 1 there. */
 #if !defined(SGMS_VECTORS) && defined(__AVX__)
 #define SGMS_VECTORS 1
 #elif !defined(SGMS_VECTORS)
