@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,8 @@ import pytest
 from c_packages import PRECISIONS, STRICT, machine, run, symbols, written
 from sgms_bench.target.firmware import double_arithmetic
 from sgms_bench.target.stacks import call_paths
+from sgms_bench.verification.faults import FAULTS
+from sgms_bench.verification.ways_out import spoil_outputs
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package, write_package
 from sgms_mhe.evaluation.acceptance import build_selftest
@@ -42,7 +45,7 @@ def test_returns_0(compiler: str, level: str, folder: Path, require_tool: Tool, 
     assert answer(require_tool(compiler), folder, tmp_path, *STRICT, level) == 0
 
 
-NUMBERS = ("friction", "force", "innovation", "ratio", "scale", "deflection", "parameter", "deviation")
+NUMBERS = ("friction", "measured", "innovation", "ratio", "scale", "deflection", "parameter", "deviation")
 COLUMNS = {"deflection": 5, "parameter": 9, "deviation": 13} | {name: k for k, name in enumerate(NUMBERS[:5])}
 
 
@@ -67,26 +70,27 @@ def changed_vectors(folder: Path, scratch: Path, name: str, change: Callable[[li
     return changed
 
 
-COMPARED = [("first", number) for number in NUMBERS] + [("second", number) for number in NUMBERS if number != "force"]
+COMPARED = [(which, number) for which in ("first", "second") for number in NUMBERS]
+FORCES = [("first_force", "force"), ("second_force", "force"), ("second_inserted", "force")]
 
 
-@pytest.mark.parametrize(("which", "number"), COMPARED)
+@pytest.mark.parametrize(("which", "number"), COMPARED + FORCES)
 def test_says_which_update_differs(which: str, number: str, folder: Path, require_tool: Tool, tmp_path: Path) -> None:
     """Every number of the vectors counts: one of the third update of a run that is off by a fifth."""
     header = (folder / "etel_xy_selftest.h").read_text()
-    updates, width = constant(header, "SELFTEST_UPDATES"), constant(header, "SELFTEST_WIDTH")
+    updates, second, width = (constant(header, f"SELFTEST_{name}") for name in ("UPDATES", "SECOND", "WIDTH"))
 
     def change(numbers: list[str]) -> list[str]:
-        at = 2 * width + COLUMNS[number]
+        at = 2 if number == "force" else 2 * width + COLUMNS[number]
         found = re.search(r"-?\d[\d.e+-]*", numbers[at])
         assert found is not None
         numbers[at] = numbers[at].replace(found[0], f"{1.2 * float(found[0]) + 1e-6:.9e}")
         return numbers
 
     changed = changed_vectors(folder, tmp_path, f"selftest_{which}", change)
-    assert answer(require_tool("gcc"), changed, tmp_path, "-std=c99", "-O1") == 3 + (
-        updates if which == "second" else 0
-    )
+    runs_before = {"first": 0, "second": updates, "second_inserted": updates + second}
+    before = runs_before.get(which, runs_before[which.split("_")[0]])
+    assert answer(require_tool("gcc"), changed, tmp_path, "-std=c99", "-O1") == 3 + before
 
 
 def test_estimator_that_is_wrong_is_found(folder: Path, require_tool: Tool, tmp_path: Path) -> None:
@@ -131,6 +135,64 @@ def test_stays_within_4_kB_of_stack_and_40_kB_of_flash(name: str, tmp_path: Path
     own = tmp_path / "own.o"
     run("arm-none-eabi-gcc", options, "-c", GENERATED / name / f"{name}_selftest.c", "-o", own)
     assert int(run("arm-none-eabi-size", own).splitlines()[1].split()[0]) <= 40_000
+
+
+def runs_of(header: str) -> int:
+    """Updates of all runs, beyond which a self-test answers with the number of a sentence."""
+    return constant(header, "SELFTEST_UPDATES") + 2 * constant(header, "SELFTEST_SECOND")
+
+
+def promised_functions(header: str) -> dict[int, set[str]]:
+    """Functions that the header of a self-test names, by the number of its sentence."""
+    promise = header[header.index("number of a sentence:") : header.index("*/")]
+    sentences = re.split(r"\n \* +(?=\d+ +[A-Za-z])", promise)[1:]
+    numbers = {int(text.split()[0]): set(re.findall(r"(\w+)\(\)", text.rpartition(":")[2])) for text in sentences}
+    assert sorted(numbers) == list(range(12))
+    return numbers
+
+
+def called_functions(source: str) -> dict[int, set[str]]:
+    """Functions that a self-test calls, by the number with which it answers where one fails."""
+    body = source[source.index("static int failed_check(") :]
+    checks = re.findall(r"if \(([^{}]*?)\) \{\s+return (?:RUNS \+ )?(\d+);|return ([^;]*?) \? 0\s*: (\d+);", body)
+    numbers: dict[int, set[str]] = {0: {"run_along"}}
+    for first, one, second, two in checks:
+        called = set(re.findall(r"(?<![\w])([a-z]\w+)\(", first or second))
+        numbers.setdefault(int(one or two), set()).update(f for f in called if f"static int {f}(" in source)
+    return numbers
+
+
+BY_HAND = {3: "force on without a position", 6: "limit of one side alone", 11: "a number of another sign than itself"}
+"""Faults of sentences that no output breaks alone, of those written by hand."""
+
+
+@pytest.mark.parametrize(("number", "what"), BY_HAND.items())
+def test_fault_gets_the_number_of_its_sentence(number: int, what: str, require_tool: Tool, tmp_path: Path) -> None:
+    package = emit_package(load_machine("etel_xy"))
+    fault = next(fault for fault in FAULTS if fault.what == what)
+    folder = written(replace(package, files=fault.spoil(dict(package.files), "etel_xy")), tmp_path)
+    runs = runs_of(package.files["etel_xy_selftest.h"])
+    assert answer(require_tool("gcc"), folder, tmp_path, "-std=c99", "-O1") == runs + number
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["etel_xy", "etel_xy_controller", "etel_xy_switching"])
+def test_every_output_of_every_call_counts(name: str, require_tool: Tool, tmp_path: Path) -> None:
+    """On every way to call an axis: its sign, zero, half of it, or the one before, in place of what is handed out.
+
+    Each sentence of the promise names the functions that answer with its number, and some fault gets that answer.
+    """
+    require_tool("gcc")
+    package = emit_package(load_machine(name))
+    found = spoil_outputs(package, tmp_path)
+    assert [spoilt.title for spoilt in found if spoilt.is_missed] == []
+    calls = "tick sample insert share due feedback check status_text init_with hold set_parameter set_mass save load"
+    assert {spoilt.title.split()[0] for spoilt in found} == {*calls.split(), "estimate", "settings"}
+    header = package.files[f"{name}_selftest.h"]
+    promised = promised_functions(header)
+    assert promised == called_functions(package.files[f"{name}_selftest.c"])
+    answers = {max(0, spoilt.code - runs_of(header)) for spoilt in found if spoilt.code > 0}
+    assert answers | set(BY_HAND) == set(promised)
 
 
 CORES = [

@@ -44,7 +44,9 @@ int main(void)
             }
             largest = fmax(largest, largest_of_estimate());
             memset(&saved, 0x55, sizeof saved);
-            printf("%d %d %d %d ", CALL(feedback)(&axis), now.status, CALL(save)(&axis, &saved), CALL(load)(&axis, &saved));
+            printf(
+                "%d %d %d %d ", CALL(feedback)(&axis), now.status, CALL(save)(&axis, &saved),
+                CALL(load)(&axis, &saved));
             printf("%d %d ", CALL(hold)(&axis, 0, 1), CALL(set_parameter)(&axis, 0, 1, 1));
             printf("%d ", CALL(set_mass)(&axis, 1));
 #ifdef HAS_ORIGIN

@@ -150,7 +150,7 @@ FAULTS: Final = (
     Fault(
         "feedback before its time",
         C,
-        "    if (!<name>_due(self)) {\n        return NAME_EARLY;",
+        "    if (!is_complete(self)) {\n        return NAME_EARLY;",
         "    if (0) {\n        return NAME_EARLY;",
     ),
     Fault(

@@ -9,11 +9,18 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.emission.compensation import FeedForward, compensation_of
+from sgms_mhe.emission.compensation import compensation_of
 from sgms_mhe.emission.selftest_motion import CountedMotion, selftest_motion
 from sgms_mhe.model import Model
-from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, Weights, run_ekf, run_mhe
-from sgms_mhe.signals.chain import Signals, apply_chain, settle_samples, signals_from_log
+from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, UpdateStatus, Weights, run_ekf, run_mhe
+from sgms_mhe.signals.chain import (
+    Signals,
+    apply_chain,
+    mean_samples,
+    settle_samples,
+    signal_array,
+    signals_from_log,
+)
 from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
@@ -30,6 +37,8 @@ _SECOND = 5
 """Updates of the second run, with other settings."""
 _BOUND = 0.03
 """Bounds of the second run, about nominal."""
+_OTHER = 0.25
+"""Settings of the second run grow by that part from one state, and one parameter, to the next."""
 _SUBSTEPS = 100
 """Runge-Kutta steps of each move of the force ahead."""
 
@@ -39,27 +48,26 @@ class ReferenceRun:
     """Estimates of the reference solver along the motion, or its beginning; rounded, so that every machine prints them.
 
     Attributes:
-        friction: at each update [N]. deflections: of the elements [m].
+        friction: at each update, estimated and as last measured [N]. deflections: of the elements [m].
         parameters: at each update [SI]. deviations: of them, 1 sigma [SI].
         readings: of the newest measurement at each update: innovation [N], test ratio, noise scale.
         statuses: of the updates.
-        force: fed forward after each update [N].
+        forces: fed forward after each update [N], by each way to call the axis.
     """
 
-    friction: tuple[float, ...]
+    friction: tuple[tuple[float, ...], ...]
     deflections: tuple[tuple[float, ...], ...]
     parameters: tuple[tuple[float, ...], ...]
     deviations: tuple[tuple[float, ...], ...]
     readings: tuple[tuple[float, ...], ...]
     statuses: tuple[int, ...]
-    force: tuple[float, ...]
+    forces: tuple[tuple[float, ...], ...]
 
     @property
     def rows(self) -> tuple[tuple[float, ...], ...]:
         """Numbers that are compared after each update, in the order of the template."""
-        vectors = zip(self.readings, self.deflections, self.parameters, self.deviations, strict=True)
-        columns = zip(self.friction, self.force, vectors, strict=True)
-        return tuple((friction, force, *(x for row in rows for x in row)) for friction, force, rows in columns)
+        vectors = zip(self.friction, self.readings, self.deflections, self.parameters, self.deviations, strict=True)
+        return tuple(tuple(x for part in update for x in part) for update in vectors)
 
 
 @dataclass(frozen=True)
@@ -70,16 +78,18 @@ class Vectors:
         motion: segments, the first run is along all of them.
         largest: friction of the first run [N]. farthest: deflection in it [m].
         bound: of the second run, about nominal, over nominal.
+        other: growth of the second run's settings from one state, and one parameter, to the next.
         span: intervals in which the signal chain settles and an update comes after that.
         velocity: at which the force of the model at rest is far beyond its limit [m/s]; 0: at none.
         first: with the machine file's settings.
-        second: with twice the measurement noise and all parameters within `bound` of nominal.
+        second: with other noise everywhere and all parameters within `bound` of nominal; by sample() and insert().
     """
 
     motion: CountedMotion
     largest: float
     farthest: float
     bound: float
+    other: float
     span: int
     velocity: float
     first: ReferenceRun
@@ -88,7 +98,7 @@ class Vectors:
     @property
     def intervals(self) -> int:
         """Intervals of all parts of the self-test, at most."""
-        return self.updates + len(self.second.friction) + 20 * self.span + 20
+        return self.updates + 2 * len(self.second.friction) + 40 * self.span + 40
 
     @property
     def updates(self) -> int:
@@ -109,23 +119,37 @@ def selftest_vectors(model: Model) -> Vectors:
     signals = signals_from_log(log, machine)
     integrator = ReferenceIntegrator(model, compiled=False)
     weights = Weights.of(model)
-    first = _run(model, signals, integrator, weights, log.position_m)
-    end = min(updates, max(_least_updates(model), _SECOND)) * machine.sampling.samples_per_update + 1
+    first = _run(model, signals, integrator, weights)
+    least = min(updates - 1, max(_least_updates(model), _SECOND))
+    end = least * machine.sampling.samples_per_update + 1
     bounded = bool(np.any(np.isfinite([weights.lower, weights.upper])))
-    other = replace(weights, sigma_y=2.0 * weights.sigma_y)
+    states, parameters = (1.0 + _OTHER * np.arange(n) for n in (model.n_x, model.n_p))
+    other = replace(
+        weights,
+        sigma_y=2.0 * weights.sigma_y,
+        sigma_x=states * weights.sigma_x,
+        move=weights.move * (np.sqrt(states) if machine.friction.smoothing else states),
+        parameter=weights.parameter / parameters,
+        drift=weights.drift * parameters,
+    )
     if bounded:
         ones = np.ones(model.n_p)
         other = replace(other, lower=(1.0 - _BOUND) * ones, upper=(1.0 + _BOUND) * ones)
-    second = _run(model, signals.part(slice(0, end)), integrator, other, log.position_m[:end])
+    second = _run(model, signals.part(slice(0, end)), integrator, other)
+    tick, sample, insert = (
+        _force_ahead(model, *of, signals, log.position_m, later, lags)
+        for of, later, lags in ((first, 0, True), (second, 1, True), (second, 1, False))
+    )
     return Vectors(
         motion=motion,
-        largest=max(map(abs, first.friction)),
-        farthest=max(abs(z) for row in first.deflections for z in row),
+        largest=float(np.abs(first[0].friction_N).max()),
+        farthest=float(np.abs(first[0].z_m).max()),
         bound=_BOUND,
+        other=_OTHER,
         span=_least_updates(model) - 1,
         velocity=_velocity_beyond_limit(model),
-        first=first,
-        second=second,
+        first=_rounded(first[0], tick),
+        second=_rounded(second[0], sample, insert),
     )
 
 
@@ -169,21 +193,26 @@ def _updates(model: Model) -> int:
 
 
 def _run(
-    model: Model, signals: Signals, integrator: ReferenceIntegrator, weights: Weights, position_m: Array
-) -> ReferenceRun:
+    model: Model, signals: Signals, integrator: ReferenceIntegrator, weights: Weights
+) -> tuple[Estimates, NodeRecord]:
     record = NodeRecord(model, signals, integrator, weights=weights)
     solve = run_mhe if model.machine.estimator.kind == "mhe" else run_ekf
-    found = solve(record)
-    force = _force_ahead(model, found, record, position_m, compensation_of(model.machine))
+    return solve(record), record
+
+
+def _rounded(found: Estimates, *forces: Array) -> ReferenceRun:
+    measured = np.array(found.friction_measured_N)
+    for k in np.flatnonzero(found.status & UpdateStatus.MISSING):
+        measured[k] = measured[k - 1] if k > 0 else 0.0
     readings = np.column_stack([found.innovation_N, found.test_ratio, found.noise_scale])
     return ReferenceRun(
-        friction=_round_values(found.friction_N),
+        friction=tuple(map(_round_values, np.column_stack([found.friction_N, measured]))),
         deflections=tuple(map(_round_values, found.z_m)),
         parameters=tuple(map(_round_values, found.parameters)),
         deviations=tuple(map(_round_values, found.std)),
         readings=tuple(map(_round_values, readings)),
         statuses=tuple(int(status) for status in found.status),
-        force=_round_values(force),
+        forces=tuple(map(_round_values, forces)),
     )
 
 
@@ -192,27 +221,51 @@ def _round_values(values: Array) -> tuple[float, ...]:
     return tuple(float(f"{value:.8g}") for value in values)
 
 
-def _force_ahead(model: Model, found: Estimates, record: NodeRecord, position_m: Array, ahead: FeedForward) -> Array:
+def _force_ahead(
+    model: Model,
+    found: Estimates,
+    record: NodeRecord,
+    signals: Signals,
+    position_m: Array,
+    later: int,
+    lags: bool,
+) -> Array:
     """Return the force fed forward after each update (u) [N]: the model, moved on over the chain's lag and the delay.
 
-    By plain Runge-Kutta steps of the symbolic model, at constant velocity over each of the two moves.
+    By plain Runge-Kutta steps of the symbolic model, at constant velocity over each of the moves.
+
+    Args:
+        model: of the axis.
+        found: estimates from the record.
+        record: of the nodes.
+        signals: of all samples.
+        position_m: of all samples, as recorded.
+        later: samples after the update, 0 or 1.
+        lags: through the machine's own chain, whose lag is made up for.
     """
-    machine = model.machine
-    samples = machine.sampling.samples_per_update
-    nodes = samples * np.arange(1, record.updates + 1)
+    machine, ahead = model.machine, compensation_of(model.machine)
+    step, samples = machine.sampling.step, machine.sampling.samples_per_update
+    nodes = samples * np.arange(1, record.updates + 1) + later
+    x, theta = found.extra["x"].T, found.extra["theta"].T
+    w = signal_array(signals, step, mean=mean_samples(machine))[nodes].T
     filled = _fill_gaps(position_m)
-    lag_m = (filled - apply_chain(machine, filled))[nodes]
-    x, theta, w = found.extra["x"].T, found.extra["theta"].T, record.w[1:].T.copy()
-    measured, mean = w[1].copy(), lag_m / ahead.lag
-    later = measured + (mean - measured) * ahead.over_delay
+    measured = w[1].copy()
+    lag_m = (filled - apply_chain(machine, filled))[nodes] if lags else measured * ahead.lag
+    mean = lag_m / ahead.lag
+    over = later * step
+    w[[0, 4]] -= np.array([measured * over, over * np.ones(len(nodes))])
     w[2] = 0.0
+    moves = [(measured * over, over), (lag_m, ahead.lag)] if lags else [(measured * over, over)]
+    if machine.sampling.merged > 1:  # samples that are in no step yet and the lag are one move
+        moves = [(sum(distance for distance, _ in moves), sum(duration for _, duration in moves))]
+    moves.append(((measured + (mean - measured) * ahead.over_delay) * ahead.delay, ahead.delay))
     chi = np.array(model.function("from_node").map(record.updates)(x, theta))
-    moves = [(lag_m, ahead.lag)] + ([(later * ahead.delay, ahead.delay)] if ahead.delay else [])
     for distance, duration in moves:
-        w[0] += distance
-        w[1] = distance / duration
-        w[4] += duration
-        chi = _move_states(model, chi, w, theta, duration)
+        if duration > 0.0:
+            w[0] += distance
+            w[1] = distance / duration
+            w[4] += duration
+            chi = _move_states(model, chi, w, theta, duration)
     w[1] = measured + (mean - measured) * ahead.at_end
     output = ca.Function("f", [model.chi, model.w, model.theta], [model.feed_forward]).map(record.updates)
     force = np.array(output(chi, w, theta)).reshape(record.updates)
