@@ -12,27 +12,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from cli_cases import SMALL, done, files
-from sgms_bench.benchmark import running
-from sgms_bench.benchmark.figures import STYLES
-from sgms_bench.benchmark.harness import build_harness, instructions_of
+from cli_cases import SMALL, done
+from sgms_bench.benchmark.harness import build_harness
 from sgms_bench.benchmark.integration_errors import SampledMotion, emitted_errors
-from sgms_bench.benchmark.peers import KINDS, Kind, PeerEvaluation, PeerExport
-from sgms_bench.benchmark.running import Bench, fitted_exponents, set_elements
-from sgms_bench.commands.bench import command
+from sgms_bench.benchmark.peers import PeerEvaluation, PeerExport
+from sgms_bench.benchmark.running import Bench
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
-from sgms_mhe.machine.sampling import DISPLACEMENT
-from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.reference import ReferenceIntegrator
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS
 
 
@@ -202,26 +194,6 @@ def test_bench_has_the_agreed_json(quick: dict[str, Any]) -> None:
         assert peer["update_us"] > 0.0
 
 
-def test_quick_bench_is_of_the_machine_as_it_is_written(quick: dict[str, Any]) -> None:
-    names = [variant["name"] for variant in quick["variants"]]
-    assert names == ["double, all", "double, auto", "double, newest", "single, auto"]
-    assert quick["motions"] == quick["integrators"] == quick["sweeps"] == []
-
-
-def test_quick_bench_takes_the_whole_motion(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first second of the paper's motion, a standstill and a crawl, costs half of what the rest does."""
-    motions: list[int] = []
-
-    def run(machine: Machine, *, updates: int, **_: Any) -> None:
-        motions.append(updates)
-        raise InputError("stopped")
-
-    monkeypatch.setattr(running, "run_benchmark", run)
-    for options in ([], ["--quick"]):
-        CliRunner().invoke(command, ["etel_xy", *options])
-    assert motions == [500, 500]
-
-
 def test_bench_states_the_errors_beside_the_cost(quick: dict[str, Any]) -> None:
     double, single = (
         next(v for v in quick["variants"] if v["precision"] == precision) for precision in ("double", "single")
@@ -231,73 +203,6 @@ def test_bench_states_the_errors_beside_the_cost(quick: dict[str, Any]) -> None:
     # A step per sample is closer than one in ten; both are farther off than the displacement flow.
     errors = {peer["steps"]: peer["state_error"] for peer in quick["peers"]}
     assert double["state_error"] < errors[20] < errors[2]
-
-
-def test_bench_counts_instructions(small: Path, quick: dict[str, Any], require_tool: Callable[[str], str]) -> None:
-    require_tool("valgrind")
-    again = json.loads(done("bench", small, "--quick", "--updates", "100", "--json").stdout)
-    for first, second in zip(quick["variants"] + quick["peers"], again["variants"] + again["peers"], strict=True):
-        assert first["instructions_mean"] > 1e3
-        assert second["instructions_mean"] == pytest.approx(first["instructions_mean"], rel=1e-3)
-    for variant in quick["variants"]:
-        assert variant["instructions_mean"] <= variant["instructions_max"] and variant["instructions_plain"] > 1e3
-
-
-def test_bench_without_valgrind_has_null_for_instructions(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("shutil.which", lambda name: None)
-    result = json.loads(done("bench", small, "--quick", "--updates", "5", "--json").stdout)
-    assert {entry["instructions_mean"] for entry in result["variants"] + result["peers"]} == {None}
-
-
-@pytest.mark.slow
-def test_bench_in_full_compares_motions_integrators_and_sizes(
-    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Few sizes and two integrators take the same way as all of them.
-    monkeypatch.setattr("sgms_bench.benchmark.running.HORIZONS", (3, 6, 12))
-    monkeypatch.setattr("sgms_bench.benchmark.running.ELEMENTS", (1, 2, 3))
-    monkeypatch.setattr("sgms_bench.benchmark.running.MOTIONS", ())
-    monkeypatch.setattr("sgms_bench.benchmark.running.SPEEDS", (1.0,))
-    monkeypatch.setattr("sgms_bench.benchmark.running.INTEGRATORS", ({"scheme": "flow"}, {"scheme": "rk4"}))
-    monkeypatch.setattr("sgms_bench.benchmark.running.PRECISIONS", ("double",))
-    monkeypatch.setattr("sgms_bench.benchmark.running.RUNS", 1)
-    folder = tmp_path / "out"
-    printed = done("bench", small, "--updates", "20", "--out", folder).stdout
-    assert "horizon^" in printed
-    assert "elements^" in printed
-    assert files(folder) == {"benchmark.json"} | {
-        f"{name}.{kind}" for name in ("work_precision", "cost") for kind in ("png", "svg")
-    }
-    result = json.loads((folder / "benchmark.json").read_text())
-    fast = {entry["name"]: entry for entry in result["motions"]}
-    # At 1 m/s the fixed steps of the peer give no usable answer, the displacement flow does.
-    assert fast["double"]["state_error"] < 1e-6
-    assert all(e["state_error"] is None or e["state_error"] > 1.0 for name, e in fast.items() if name != "double")
-    assert {sweep["over"] for sweep in result["sweeps"]} == {"horizon", "elements"}
-    for sweep in result["sweeps"]:
-        assert 0.0 < sweep["exponent"] < 1.5
-        costs = [point["instructions_mean"] or point["update_us"] for point in sweep["points"]]
-        assert costs == sorted(costs)
-
-
-def test_exponents_of_known_costs() -> None:
-    sizes = (10, 20, 50, 100, 200)
-    assert fitted_exponents(sizes, [3.0 * n**1.5 for n in sizes])[0] == pytest.approx(1.5)
-    exponent, marginal = fitted_exponents(sizes, [100.0 + 2.0 * n for n in sizes])
-    assert exponent < 0.7  # the constant part
-    assert marginal == pytest.approx(1.0)
-
-
-def test_sizes_are_swept_at_equal_range(small: Path) -> None:
-    machine = load_machine(small)
-    for count in (1, 3, 10):
-        friction = set_elements(machine, count).friction
-        assert friction.n_z == count
-        scales = [
-            nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True)
-        ]
-        ends = (0.25 * 4.0 / 3e4, 0.75 * 4.0 / 1e4)
-        assert np.exp(np.mean(np.log(scales))) == pytest.approx(np.sqrt(ends[0] * ends[1]))
 
 
 # --- peers -------------------------------------------------------------------------------------------------------
@@ -323,27 +228,6 @@ def evaluated(export: PeerExport, recording: SampledMotion, folder: Path) -> Pee
     return export.evaluation(recording.windows, (folder / "results").read_bytes())
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_peer_computes_the_residual_and_jacobian_of_the_reference(
-    kind: Kind, fixed_step: Machine, recording: SampledMotion, tmp_path: Path
-) -> None:
-    windows = recording.windows
-    found = evaluated(PeerExport(fixed_step, kind, windows.w.shape[1], 20), recording, tmp_path)
-    integrator = ReferenceIntegrator(build_model(fixed_step))
-    plan = integrator.plan(recording.signals)
-    assert plan.substeps.max() == 1
-    assert np.abs(found.A).max() > 0.1
-    assert np.abs(found.B).max() > 0.01
-    for i, first in enumerate(recording.first):
-        expected = integrator.intervals(plan, first, windows.x[i, :-1], windows.theta)
-        for name in ("x1", "A", "B"):
-            np.testing.assert_allclose(getattr(found, name)[i], getattr(expected, name), rtol=0, atol=1e-12)
-        outputs = integrator.outputs(windows.x[i], windows.w_node[i], windows.theta)
-        np.testing.assert_allclose(found.residual[i], outputs.y - windows.y[i], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(found.C[i], outputs.C, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(found.D[i], outputs.D, rtol=0, atol=1e-12)
-
-
 def test_peer_computes_what_the_emitted_code_does(
     fixed_step: Machine, recording: SampledMotion, tmp_path: Path
 ) -> None:
@@ -356,19 +240,3 @@ def test_peer_computes_what_the_emitted_code_does(
     # The emitted elementary functions are good to 1e-9 by choice.
     assert state is not None and state < 1e-8
     assert sensitivity is not None and sensitivity < 1e-7
-
-
-def test_peers_agree_where_effects_couple_states(small: Path, recording: SampledMotion, tmp_path: Path) -> None:
-    effects = [{"name": "frictional_lag"}, {"name": "force_ripple"}]
-    machine = override_machine(load_machine(small), {"effects": effects, "sampling": {"integrator": {"scheme": "rk4"}}})
-    record = Bench(machine, DEFAULT_FLAGS).record(make_trajectory("paper", 1000.0, duration_s=1.2))
-    one, other = (
-        evaluated(PeerExport(machine, kind, record.windows.w.shape[1], 20), record, tmp_path) for kind in KINDS
-    )
-    for name in ("x1", "A", "B", "residual", "C", "D"):
-        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-10, atol=1e-10)
-
-
-def test_every_scheme_has_a_marker_in_the_figures() -> None:
-    assert STYLES.keys() >= DISPLACEMENT.keys()
-    assert len({marker for _, marker in STYLES.values()}) == len(STYLES)
