@@ -58,6 +58,7 @@ def check_trace(folder: Path) -> None:
     assert last["beyond_noise_after_N"] < last["allowed_N"] < last["beyond_noise_before_N"]
 
 
+@pytest.mark.slow
 def test_diagnose_a_part_and_try_the_estimator_on_another_log(machine: Machine, tmp_path: Path) -> None:
     hidden = ("force_ripple", RIPPLE)
     log = write_record(tmp_path / "log.npz", machine, hidden, 9.0, 1)

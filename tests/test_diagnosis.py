@@ -64,6 +64,7 @@ def names(diagnosis: Diagnosis) -> list[str]:
 # --- one hidden effect ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "parameters", "law"),
     [
@@ -95,6 +96,7 @@ def test_names_a_hidden_effect_and_its_size(
     assert diagnosis.extended is not None
 
 
+@pytest.mark.slow
 def test_phase_is_that_of_the_log_s_clock(machine: Machine) -> None:
     """Neither the signal chain's lag nor the rate that models are fitted at is in it."""
     hum = {"amplitude_N": 0.4, "frequency_Hz": 40.0, "phase_rad": 0.7}
@@ -113,6 +115,7 @@ def test_phase_is_that_of_the_log_s_clock(machine: Machine) -> None:
     assert left < 1.05 * clean
 
 
+@pytest.mark.slow
 def test_finds_two_effects_at_once(machine: Machine) -> None:
     hidden: Hidden = [
         ("constant_offset", {"force_N": 0.5}),
@@ -144,6 +147,7 @@ def test_a_lag_is_seen_though_the_fit_left_nothing_that_could_lag() -> None:
     assert found.energy > 0.7 * float(np.sum(fit.residual[used] ** 2))
 
 
+@pytest.mark.slow
 def test_a_wrong_number_is_not_taken_for_an_effect(machine: Machine) -> None:
     diagnosis = diagnose(machine, simulated(machine, [], scale={"coulomb": 1.3}))
     assert names(diagnosis) == ["coulomb"]
@@ -153,6 +157,7 @@ def test_a_wrong_number_is_not_taken_for_an_effect(machine: Machine) -> None:
     assert diagnosis.extended.friction.coulomb == pytest.approx(5.2, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.56, 1.8])
 def test_stiffnesses_far_off_are_found_on_a_switching_axis(machine: Machine, factor: float) -> None:
     diagnosis = diagnose(machine, simulated(machine, [], law="maxwell_slip", scale={"stiffness": factor}))
@@ -162,6 +167,7 @@ def test_stiffnesses_far_off_are_found_on_a_switching_axis(machine: Machine, fac
         assert found[f"stiffness_{i}_N_m"] == pytest.approx(factor * nominal, rel=0.1)
 
 
+@pytest.mark.slow
 def test_thinning_does_not_decide_the_law(machine: Machine) -> None:
     hidden: Hidden = [("micro_viscous", {"damping_N_s_m": 68.0})]
     diagnosis = diagnose(machine, simulated(machine, hidden, law="maxwell_slip"))

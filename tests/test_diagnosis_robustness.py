@@ -95,6 +95,7 @@ def assert_finds_the_ripple(diagnosis: Diagnosis) -> None:
 # --- two things wrong -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "parameters"), [("force_ripple", RIPPLE), ("asymmetric_coulomb", {"ratio": 0.2})], ids=["ripple", "level"]
 )
@@ -112,6 +113,7 @@ def test_wrong_mass_hides_nothing(quick: Machine, slow: Machine, name: str, para
 # --- how true the numbers are -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "parameter", "size"),
     # Half a sample of viscous friction is a mass of 1 g; a delay is of the order of a sample.

@@ -77,6 +77,7 @@ def assert_true(found: Identification) -> None:
     assert not [name for name in numbers if "." in name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "lateness", "cutoff", "seed"), [(1000.0, 0.9, 100.0, 1), (500.0, 0.5, 80.0, 2)])
 def test_a_low_pass_that_biases_the_inertia_is_replaced_and_said(
     rate: float, lateness: float, cutoff: float, seed: int, tmp_path: Path
@@ -89,6 +90,7 @@ def test_a_low_pass_that_biases_the_inertia_is_replaced_and_said(
     assert found.machine.sampling.velocity_cutoff < cutoff
 
 
+@pytest.mark.slow
 def test_stated_errors_of_the_model_are_handed_on(tmp_path: Path) -> None:
     """They are no number of the fit, and the file that is written has them again."""
     stated = {"mass": 0.01, "gain": 0.02, "force": 0.1}
@@ -100,6 +102,7 @@ def test_stated_errors_of_the_model_are_handed_on(tmp_path: Path) -> None:
     assert "[estimator.disturbance]" in found.toml
 
 
+@pytest.mark.slow
 def test_a_low_pass_that_biases_nothing_is_kept(tmp_path: Path) -> None:
     log = spinning_axis(1000.0, 0.0, 3)
     found = identify([log], Wanted("axis", like=like(tmp_path, 1000.0, 100.0)))
@@ -108,6 +111,7 @@ def test_a_low_pass_that_biases_nothing_is_kept(tmp_path: Path) -> None:
     assert not [warning for warning in found.warnings if "in place of" in warning]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [7000, 7004, 7007])
 def test_a_torque_that_a_drive_holds_is_no_friction_of_the_load(seed: int) -> None:
     """It jumps between two values at 500 Hz; behind the low-pass that looked like a level that falls with the load."""
@@ -122,6 +126,7 @@ def test_a_torque_that_a_drive_holds_is_no_friction_of_the_load(seed: int) -> No
         assert numbers[name].value == pytest.approx(true, rel=2e-3), name
 
 
+@pytest.mark.slow
 def test_elements_that_the_log_does_not_resolve_are_open(tmp_path: Path) -> None:
     """Friction that turns within a thousandth of a sample: the level is known, no stiffness, and the file generates."""
     random, rate = np.random.default_rng(3), 500.0

@@ -156,6 +156,7 @@ def strokes(period: float) -> Recording:
     return prepare(machine(), Log(time, position, np.zeros(len(time)), 1000.0))
 
 
+@pytest.mark.slow
 def test_a_fine_ripple_is_learned_that_each_direction_has_elsewhere() -> None:
     """Twenty periods over the travel, as of a gear's teeth, a third of one apart between the directions."""
     here, there = strokes(1.7), strokes(1.9)

@@ -52,6 +52,7 @@ def diagnose_curve(curve: str) -> Diagnosis:
     return diagnose(axis, log)
 
 
+@pytest.mark.slow
 def test_a_curve_of_another_form_is_named_and_not_its_imitations(tmp_path: Path) -> None:
     diagnosis = diagnose_curve("power")
     certain = [c for c in diagnosis.causes if diagnosis.identifies(c)]
@@ -79,6 +80,7 @@ def test_a_curve_of_another_form_is_named_and_not_its_imitations(tmp_path: Path)
     assert page.count('class="badge open"') == len(others)
 
 
+@pytest.mark.slow
 def test_a_curve_of_the_catalogue_is_itself() -> None:
     diagnosis = diagnose_curve("eddy currents")
     assert diagnosis.verdict == "explained"
