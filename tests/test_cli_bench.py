@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, done
-from sgms_bench.benchmark.harness import build_harness
+from sgms_bench.benchmark.harness import build_harness, instructions_of
 from sgms_bench.benchmark.integration_errors import SampledMotion, emitted_errors
 from sgms_bench.benchmark.peers import PeerEvaluation, PeerExport
 from sgms_bench.benchmark.running import Bench
