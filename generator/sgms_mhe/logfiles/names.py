@@ -85,9 +85,12 @@ def is_usual(header: str, role: Role, *, numbered: bool = False) -> bool:
 
     Time has no axis; there `numbered` is a unit alone.
     """
-    name = _TYPE.sub("", _INDEX.sub("", _PARAMETER.sub("", split_name(header)[0])))
-    if role not in _PATTERNS or _WANTED.search(name) or not name:
-        return numbered and role == "time" and not name
+    bare, unit = split_name(header)
+    if role == "time" and unit and not bare:
+        return numbered
+    name = _TYPE.sub("", _INDEX.sub("", _PARAMETER.sub("", bare)))
+    if role not in _PATTERNS or _WANTED.search(name):
+        return False
     names = [plain_name(end) for end in (name, *(name[mark.end() :] for mark in re.finditer(r"[.:/]", name)))]
     if numbered:
         names = [found[1] for end in names if role != "time" and (found := _AXIS.fullmatch(end))]
