@@ -71,6 +71,39 @@ def test_the_error_is_of_the_friction_that_mujoco_computes(base: str, tmp_path: 
     assert 20 < np.sum(level < 0.999 * axis.coulomb) < 180
 
 
+@pytest.mark.parametrize("form", ["mujoco", "urdf"])
+def test_gravity_moves_the_joint_in_mujoco(form: str, tmp_path: Path) -> None:
+    """Its torque at rest over a turn is the effect's, and it falls as `simulate`'s axis does but for presliding."""
+    effects: list[dict[str, Any]] = [{"name": "unbalance", "amplitude_Nm": 60.0, "phase_rad": 0.7}]
+    if form == "mujoco":
+        effects += [
+            {"name": "position_spring", "stiffness_Nm_rad": 5.0, "centre_rad": 0.3},
+            {"name": "constant_offset", "torque_Nm": 0.5},
+        ]
+    path = tmp_path / f"axis{SUFFIX[form]}"
+    machine = machine_with(*effects, base="etel_xy_rotary")
+    exported = sgms_mhe.export(machine, form, path)
+    assert not any("unbalance" in sentence for sentence in exported.lost)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    for q in np.linspace(-6.0, 6.0, 13):
+        data.qpos[0] = q
+        mujoco.mj_forward(model, data)
+        spring = 5.0 * (q - 0.3) + 0.5 if form == "mujoco" else 0.0
+        found = data.qfrc_bias[0] - data.qfrc_passive[0] - data.qfrc_actuator[0]
+        assert found == pytest.approx(60.0 * np.sin(q + 0.7) + spring, rel=1e-9, abs=1e-9)
+    mujoco.mj_resetData(model, data)
+    model.opt.timestep = machine.sampling.step
+    sgms_mhe.export(machine, "fmu3", tmp_path / "axis.fmu")
+    with slave_of(tmp_path / "axis.fmu", tmp_path / "unpacked") as slave:
+        plant = slave.run(np.zeros(5000), ("position",))[:, 0]
+    moved = []
+    for _ in plant:
+        mujoco.mj_step(model, data)
+        moved.append(data.qpos[0])
+    assert np.ptp(plant) > 0.1 and np.abs(moved - plant).max() < 0.03 * np.ptp(plant)
+
+
 def test_armature_alone_leaves_mujoco_no_friction_below_the_level() -> None:
     """Why the body carries the inertia."""
     forces, text = [], sgms_mhe.export("etel_xy", "mujoco").text

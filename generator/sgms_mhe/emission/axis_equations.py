@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.emission.c_source import CPrinter
 from sgms_mhe.emission.graph import Graph, Node
@@ -120,6 +121,37 @@ def axis_model(machine: Machine) -> AxisModel:
     measured = tuple(effect.label for effect in machine.effects if _is_measurement(continuous, effect))
     kept = tuple(effect for effect in machine.effects if effect.label not in measured)
     return AxisModel(build_model(replace(continuous, effects=kept), physical=True), measured)
+
+
+def place_force(machine: Machine, effect: ResolvedEffect) -> tuple[float, float, float, float] | None:
+    """Return an effect's force as (c, k, s, b) of c + k q + s sin q + b cos q; None where it is anything else.
+
+    Sines are of a joint that turns. It is told by the force itself at drawn motions, with the effect and without.
+    """
+    definition = effect_definition(effect.name)
+    if definition.stage != "force" or definition.states:
+        return None
+    outputs = []
+    for effects in ((effect,), ()):
+        model = axis_model(replace(machine, effects=effects)).model
+        nominal = [parameter.nominal for parameter in model.parameters]
+        outputs.append((ca.Function("force", [model.chi, model.w, model.theta], [model.output]), nominal))
+    random = np.random.default_rng(1)
+    q, found = 3.0 * random.standard_normal(40), []
+    for place in q:
+        chi, w = random.uniform(-0.5, 0.5, machine.friction.n_z), random.standard_normal(5)
+        w[0] = place
+        with_effect, without = (float(force(chi, w, nominal)) for force, nominal in outputs)
+        found.append(with_effect - without)
+    turns = machine.plant.kind == "rotary"
+    columns = np.column_stack([np.ones(len(q)), q, *((np.sin(q), np.cos(q)) if turns else ())])
+    sizes, *_ = np.linalg.lstsq(columns, found, rcond=None)
+    least = 1e-9 * max(np.abs(found).max(), machine.friction.coulomb)  # rounding
+    if np.abs(columns @ sizes - found).max() > least:
+        return None
+    sizes[np.abs(sizes) < least] = 0.0
+    c, k, s, b = (*map(float, sizes), 0.0, 0.0)[:4]
+    return c, k, s, b
 
 
 def _is_measurement(machine: Machine, effect: ResolvedEffect) -> bool:

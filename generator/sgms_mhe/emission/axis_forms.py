@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.emission.axis_equations import MODELICA, SIMSCAPE, Language, axis_model, print_equations
+from sgms_mhe.emission.axis_equations import MODELICA, SIMSCAPE, Language, axis_model, place_force, print_equations
 from sgms_mhe.emission.rendering import dot_unit, render_text
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES
@@ -153,18 +153,26 @@ def _write_numbers(machine: Machine, title: str, form: str, template: str) -> Wr
 def _write_simple(machine: Machine, title: str, form: str, template: str, level: str) -> WrittenAxis:
     """Inertia, Coulomb and viscous friction."""
     units, friction = machine.plant.units, machine.friction
-    simple = SimpleAxis(axis_model(machine).inertia, friction.coulomb, friction.viscous)
+    held = {effect.label: place_force(machine, effect) for effect in machine.effects}
+    if form == "urdf":  # a mass off the axis, and no spring or offset
+        held = {label: sizes if sizes and not any(sizes[:2]) else None for label, sizes in held.items()}
+    places = [sizes for sizes in held.values() if sizes is not None]
+    sums = [sum(column) for column in zip(*places, strict=True)]
+    simple = SimpleAxis(axis_model(machine).inertia, friction.coulomb, friction.viscous, *sums)
     if simple.inertia <= 0.0:
         raise InputError(machine.source, units.inert, simple.inertia, "effects that leave a positive part of it")
-    holds = (f"{units.inert} with what effects add to it, Coulomb level, viscous damping",)
+    holds = [f"{units.inert} with what effects add to it, Coulomb level, viscous damping"]
+    if places:
+        inside = _labels(tuple(label for label, sizes in held.items() if sizes is not None))
+        holds.append(f"the effects {inside}: a mass off the axis, a spring, a constant {units.push}")
     lost = [level, f"the {friction.n_z} Maxwell-slip elements: stiffness and hysteresis before break-away"]
     if friction.stribeck_ratio != 0.0:
         lost.append(f"the Stribeck effect, {100.0 * friction.stribeck_ratio:g} % of the level near standstill")
-    if machine.effects:
-        labels = _labels(tuple(effect.label for effect in machine.effects))
+    if len(places) < len(held):
+        labels = _labels(tuple(label for label, sizes in held.items() if sizes is None))
         lost.append(f"the effects {labels}, but for what they add to the {units.inert}")
     solver = {"reference": SOLVER_REFERENCE, "impedance": SOLVER_IMPEDANCE}
-    written = WrittenAxis(form, b"", holds, tuple(lost), simple)
+    written = WrittenAxis(form, b"", tuple(holds), tuple(lost), simple)
     return _render(machine, template, title, written, simple=simple, solver=solver, step=machine.sampling.step)
 
 

@@ -58,8 +58,8 @@ def form_error(
     model = predict_signals(machine, signals, log.source).friction_N
     if simple is not None:
         added = (simple.inertia - machine.plant.moved) * signals.acceleration
-        held = simple_friction(form, simple, signals.velocity, signals.force)
-        friction = added + held
+        place = simple.place_force(signals.position)
+        friction = added + place + simple_friction(form, simple, signals.velocity, signals.force - place)
     else:
         friction = predict_signals(_without(machine, left_out), signals, log.source).friction_N
     valid = signals.valid & np.isfinite(friction) & np.isfinite(model)

@@ -13,20 +13,42 @@ Array = NDArray[np.float64]
 SOLVER_REFERENCE: Final = (0.02, 1.0)
 SOLVER_IMPEDANCE: Final = (0.9, 0.95, 0.001, 0.5, 2.0)
 """solreffriction and solimpfriction of MuJoCo, its defaults: what its friction loss does below its level."""
+GRAVITY: Final = 9.81
+"""m/s^2."""
 ENGINE_STEP: Final = 1e-3
 """s, Gazebo's step, for engines that step velocities."""
 
 
 @dataclass(frozen=True)
 class SimpleAxis:
-    """Coulomb and viscous friction of an axis: what a simulator without presliding holds.
+    """Coulomb and viscous friction of an axis, and forces of place: what a simulator without presliding holds.
 
-    inertia [kg, kg m^2], what effects add to it included; coulomb [N, N m]; viscous [N s/m, N m s/rad].
+    inertia [kg, kg m^2], what effects add to it included; coulomb [N, N m]; viscous [N s/m, N m s/rad]. Against the
+    drive act also `constant` + `stiffness` q + `sine` sin q + `cosine` cos q [N, N m], the sines on a joint that turns.
     """
 
     inertia: float
     coulomb: float
     viscous: float
+    constant: float = 0.0
+    stiffness: float = 0.0
+    sine: float = 0.0
+    cosine: float = 0.0
+
+    def place_force(self, position: Array) -> Array:
+        """Return the force (n) that goes with the position alone [N, N m]."""
+        waves = self.sine * np.sin(position) + self.cosine * np.cos(position)
+        return np.asarray(self.constant + self.stiffness * position + waves)
+
+    @property
+    def body(self) -> tuple[float, float, float, float]:
+        """Mass [kg] and inertia about its centre [kg m^2] of a joint that turns, and where that is at rest (x, z) [m].
+
+        The joint turns about y, z points up. The mass is large enough for its distance to take 1/10 of the inertia.
+        """
+        moment = float(np.hypot(self.sine, self.cosine)) / GRAVITY
+        mass = max(1.0, 10.0 * moment**2 / self.inertia)
+        return mass, self.inertia - moment**2 / mass, -self.cosine / (GRAVITY * mass), -self.sine / (GRAVITY * mass)
 
 
 def simple_friction(form: str, axis: SimpleAxis, velocity: Array, force: Array) -> Array:
