@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -11,6 +11,9 @@ from sgms_mhe.commands.common import example, json_option, json_text, machine_ar
 if TYPE_CHECKING:
     from sgms_mhe.emission.package import Package
     from sgms_mhe.machine import Machine
+
+LONGEST_LIST: Final = 8
+"""Numbers of a list that are all shown."""
 
 
 @click.command(short_help="Check MACHINE and print it resolved.", epilog=example("check machines/etel_xy.toml"))
@@ -106,7 +109,7 @@ def _text(machine: Machine, package: Package) -> str:
         f"ramp {fed.ramp:g} s, limit {limit}, hold below {fed.hold:g} {units.velocity}"
     )
     for effect in machine.effects:
-        numbers = ", ".join(f"{units.named(key)} {value:g}" for key, value in effect.parameters.items())
+        numbers = ", ".join(f"{units.named(key)} {_said(value)}" for key, value in effect.parameters.items())
         lines.append(f"  effect      {effect.label}: {numbers}")
     changed = ", ".join(f"{key} {value:g}" for key, value in machine.diagnosis.changed.items())
     lines.append(f"  diagnosis   {changed or 'defaults'}")
@@ -116,6 +119,15 @@ def _text(machine: Machine, package: Package) -> str:
     size = sum(len(text.encode()) for text in package.files.values())
     lines.append(f"  package     {len(package.files)} files, {size} bytes, {machine.code.precision} precision")
     return "\n".join(lines)
+
+
+def _said(value: float | tuple[float, ...]) -> str:
+    """A number, or a list of them; a long list as its number of entries and their range."""
+    numbers = value if isinstance(value, tuple) else (value,)
+    if len(numbers) > LONGEST_LIST:
+        return f"({len(numbers)} from {min(numbers):g} to {max(numbers):g})"
+    text = " ".join(f"{number:g}" for number in numbers)
+    return f"({text})" if isinstance(value, tuple) else text
 
 
 def _si(parameter: Any, theta: float) -> float:
