@@ -29,11 +29,11 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 
 # Said before anything is done, of a call that names no target.
 ifeq ($(filter-out all,$(MAKECMDGOALS)),)
-$(info make: what it will do, and how long each step takes on two cores; `make help` lists what else there is)
-$(info $()  environment  $(if $(wildcard $(STAMP)),is there,1 min  )  .venv with the versions of requirements.lock)
+$(info make: what it will do, and the computing time of each step, up to twice that on a busy host; `make help` lists what else there is)
+$(info $()  environment  $(if $(wildcard $(STAMP)),is there,75 s   )  .venv with the versions of requirements.lock)
 $(info $()  package      2 s       machines/$(MACHINE).toml -> $(PACKAGES)/$(MACHINE))
 $(info $()  compile      2 s       $(BUILD)/$(MACHINE), every warning an error)
-$(info $()  experiment   1 min     the paper's, 20 s in closed loop; its table, and figures in $(BUILD)/experiment)
+$(info $()  experiment   75 s      the paper's, 20 s in closed loop; its table, and figures in $(BUILD)/experiment)
 endif
 
 all: experiment ## (default) set up, generate etel_xy, compile it, run the paper's experiment, print its table

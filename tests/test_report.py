@@ -386,7 +386,7 @@ def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_pa
     assert "Constant force, independent of motion or force proportional to position?" in words
     assert words.count("not rule out in its place: force proportional to position position_spring") == 1
     assert "another value than the machine file's" in words
-    assert "−3.16 N 0.410 ± 0.039 N" in words
+    assert "−3.16 N 0.410 ± 0.040 N" in words
     assert "The same move at two ends of the travel." in words
 
 

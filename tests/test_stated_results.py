@@ -1,6 +1,6 @@
-"""Numbers of docs/results.md that come from recorded runs: compensation in closed loop, instructions on the target.
+"""Numbers of docs/results.md that come from recorded runs: the experiment, compensation in closed loop, the target.
 
-python tests/test_stated_results.py --update    run them again, record the numbers, and write both tables
+python tests/test_stated_results.py --update    run them again, record the numbers, and write the pages
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import json
 import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from sgms_mhe.support.toolchain import tool_output
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results.md"
+README = ROOT / "README.md"
 RECORDED = Path(__file__).parent / "recorded" / "results.json"
 UPDATE = "python tests/test_stated_results.py --update"
 CLOSED_LOOP = ("compensate", "etel_xy_compensation")
@@ -34,6 +36,11 @@ TRAJECTORIES = {
     "step_and_settle": "step and settle",
     "circle, contour": "circle, contour at the quadrants",
 }
+ESTIMATOR = re.compile(
+    r"^  (MHE, C|EKF, C|MHE, reference|batch smoother) +([\d.]+) +(\d+)% +(?:\d+ +)?(.*)$", re.MULTILINE
+)
+"""A row of the experiment: friction RMS, coverage, time but on the README, errors and changes."""
+SMOOTHER = re.compile(r"(?<=parameters are )[\d., ]+(?= times smoother)")
 LOOP_TOLERANCE = 0.03
 """Relative, of a peak: another processor's libm rounds otherwise, and a loop with an encoder's steps amplifies it."""
 ANOTHER_COMPILER = 0.3
@@ -53,6 +60,19 @@ def peaks() -> dict[str, dict[str, float]]:
         if row["trajectory"] in found:
             found[row["trajectory"]][row["compensation"]] = float(f"{row['peak [nm]']:.4g}")
     return found
+
+
+def experiment(printed_table: str) -> dict[str, Any]:
+    """Rows of a printed experiment, the paper's weights behind the default, and how much smoother the MHE is."""
+    found = SMOOTHER.search(printed_table)
+    rows = [[name, rms, f"{share} %", *rest.split()] for name, rms, share, rest in ESTIMATOR.findall(printed_table)]
+    return {"rows": rows, "smoother": found[0] if found else ""}
+
+
+def run_experiment() -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        words = [sys.executable, "-m", "sgms_mhe", "experiment", "etel_xy", "--out", folder]
+        return experiment(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
 
 
 def instructions(variant: str) -> dict[str, Any]:
@@ -93,21 +113,50 @@ def target_rows(content: dict[str, Any]) -> list[str]:
     ]
 
 
-@pytest.mark.core
-def test_page_states_the_recorded_runs() -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    for row in (*loop_rows(recorded()), *target_rows(recorded())):
-        assert row in page, f"{row}\n{UPDATE}"
+def page_of(content: dict[str, Any], page: str) -> str:
+    """The page of results with the recorded rows in the places of its own."""
+    for row in (*loop_rows(content), *target_rows(content)):
+        name = re.escape(row.split("|")[1])
+        page, count = re.subn(rf"^\|{name}\| [\d.]+.*$", row, page, flags=re.MULTILINE)
+        assert count == 1, row
+    rows, tables = content["experiment"]["rows"], []
+    for part in (rows[:4], rows[4:]):
+        tables += [f"| {name} | {rms} | {share} |" for name, rms, share, *_ in part]
+        tables += [f"| {name} | {', '.join(rest[:4])} | {', '.join(rest[4:])} |" for name, _, _, *rest in part]
+    left = iter(tables)
+    names = "|".join(dict.fromkeys(row[0] for row in rows))
+    page = re.sub(rf"^\| (?:{names}) \| [-+\d].*$", lambda _: next(left), page, flags=re.MULTILINE)
+    assert not list(left)
+    return SMOOTHER.sub(content["experiment"]["smoother"], page)
+
+
+def readme_of(content: dict[str, Any], page: str) -> str:
+    """The README with the recorded rows."""
+    left = iter(content["experiment"]["rows"][:4])
+
+    def row(_: re.Match[str]) -> str:
+        name, rms, share, *rest = next(left)
+        return f"  {name:<14}{rms:>18}{share.replace(' ', ''):>10}" + "".join(f"{error:>9}" for error in rest[:4])
+
+    return ESTIMATOR.sub(row, page)
 
 
 @pytest.mark.core
-def test_readme_and_page_have_one_experiment() -> None:
-    readme, page = (path.read_text(encoding="utf-8") for path in (ROOT / "README.md", PAGE))
-    rows = re.findall(r"^  (\w+(?:, \w+| \w+)) +([\d.]+) +(\d+)% +(.*)$", readme, re.MULTILINE)
-    assert len(rows) == 4
-    for name, rms, coverage, errors in rows:
-        assert f"| {name} | {rms} | {coverage} % |" in page
-        assert f"| {name} | {', '.join(errors.split())} |" in page
+def test_pages_state_the_recorded_runs() -> None:
+    for path, written in ((PAGE, page_of), (README, readme_of)):
+        text = path.read_text(encoding="utf-8")
+        assert written(recorded(), text) == text, UPDATE
+
+
+@pytest.mark.slow
+def test_experiment_is_the_recorded_one() -> None:
+    now, before = run_experiment(), recorded()["experiment"]
+    for row, stated in zip(now["rows"], before["rows"], strict=True):
+        assert row[0] == stated[0]
+        for value, known in zip(row[1:], stated[1:], strict=True):
+            found, said = (float(text.removesuffix(" %")) for text in (value, known))
+            digit = 10.0 ** -len(known.partition(".")[2])
+            assert found == pytest.approx(said, rel=LOOP_TOLERANCE, abs=1.5 * digit), f"{row[0]}: {UPDATE}"
 
 
 @pytest.mark.slow
@@ -129,24 +178,16 @@ def test_instructions_are_the_recorded_ones(variant: str) -> None:
 
 
 def update() -> None:
-    """Run and record, and write both tables."""
+    """Run and record, and write the pages."""
     content = {
         "compiler": compiler(),
+        "experiment": run_experiment(),
         "peaks_nm": peaks(),
         "target": {variant: instructions(variant) for variant in TARGETS},
     }
     RECORDED.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    write_page(content)
-
-
-def write_page(content: dict[str, Any]) -> None:
-    """Put the rows into the page, and print them."""
-    page = PAGE.read_text(encoding="utf-8")
-    for row in (*loop_rows(content), *target_rows(content)):
-        name = re.escape(row.split("|")[1])
-        page, count = re.subn(rf"^\|{name}\| [\d.]+.*$", row, page, flags=re.MULTILINE)
-        print(row, "" if count else "has no row on the page")
-    PAGE.write_text(page, encoding="utf-8")
+    for path, written in ((PAGE, page_of), (README, readme_of)):
+        path.write_text(written(content, path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

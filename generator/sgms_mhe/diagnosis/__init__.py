@@ -11,10 +11,10 @@ from sgms_mhe.diagnosis.result import (
     RivalFit,
     Rms,
     Score,
-    Traces,
 )
 from sgms_mhe.diagnosis.structure import ResidualStructure
 from sgms_mhe.diagnosis.together import diagnose
+from sgms_mhe.diagnosis.traces import Traces
 from sgms_mhe.diagnosis.writing import write_diagnosis, write_extended, write_refusal
 
 __all__ = [

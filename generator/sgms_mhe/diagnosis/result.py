@@ -18,6 +18,7 @@ from sgms_mhe.diagnosis.learned import Learned
 from sgms_mhe.diagnosis.other_record import JudgedRecord, list_contradictions
 from sgms_mhe.diagnosis.own_numbers import OwnDifference
 from sgms_mhe.diagnosis.structure import ResidualStructure
+from sgms_mhe.diagnosis.traces import Traces
 from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.libraries import data_frame
@@ -172,43 +173,6 @@ class PlainFriction:
     rms: float
     held_out: float
     force: float
-
-
-@dataclass(frozen=True)
-class Traces:
-    """Signals at the rate of the fit, all (m,).
-
-    time [s] from the log's first sample to what the row tells of, position [m], velocity [m/s], acceleration [m/s^2],
-    force [N], friction measured [N], simulated by the machine as it is, with refitted base parameters and no new
-    effect, and by the extended model (parameters of all data); `held_out_fit_N` is the extended model fitted without
-    the held-out segments.
-    `used`: enters fits and numbers; `held_out`: not seen by the fit that the gains are computed from.
-    """
-
-    time_s: Array
-    position_m: Array
-    velocity_m_s: Array
-    acceleration_m_s2: Array
-    force_N: Array
-    friction_N: Array
-    nominal_N: Array
-    refitted_N: Array
-    extended_N: Array
-    held_out_fit_N: Array
-    used: Mask
-    held_out: Mask
-    block: NDArray[np.int64]
-    rate: float
-
-    @property
-    def residual_before(self) -> Array:
-        """Measured minus simulated by the machine as it is [N]."""
-        return self.friction_N - self.nominal_N
-
-    @property
-    def residual_after(self) -> Array:
-        """Measured minus simulated by the extended model [N], of the fit that did not see the held-out segments."""
-        return self.friction_N - self.held_out_fit_N
 
 
 @dataclass(frozen=True)

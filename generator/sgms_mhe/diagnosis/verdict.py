@@ -44,9 +44,10 @@ from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.numbers import base_parameters, extended_machine
 from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
 from sgms_mhe.diagnosis.preparation import Prepared, prepare_logs
-from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces
+from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score
 from sgms_mhe.diagnosis.selection import Searched, drop_effects, search_causes, select_causes
 from sgms_mhe.diagnosis.structure import structure_map
+from sgms_mhe.diagnosis.traces import Traces
 from sgms_mhe.diagnosis.uncertainty import FLOOR_SURE, MOSTLY, inertial_noise
 from sgms_mhe.diagnosis.wording import choose_experiment, list_alternatives, summarise
 from sgms_mhe.machine import Machine
