@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 import sgms_mhe
-from cli_cases import done, refused
+from cli_cases import SMALL, done, refused
 from sgms_bench.studies.identification import identified_axis
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification import Wanted, final_fit, identify
+from sgms_mhe.identification.description import DEFAULT
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis, stribeck_limits
 from sgms_mhe.identification.records import ElementMotion, filter_motion, make_records, sort_logs
@@ -108,6 +109,19 @@ def identified(logs: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
     return path, json.loads(done("identify", *logs, "--out", path, "--json").stdout)
 
 
+@pytest.mark.slow
+def test_a_default_has_its_reason_in_one_place(tmp_path: Path) -> None:
+    """An axis without a Stribeck effect: the sentence on it has the reason, and the note of a number none beside it."""
+    machine = tmp_path / "small.toml"
+    machine.write_text(SMALL)
+    log = sgms_mhe.simulate(machine, "mixed", duration_s=6.0, seed=1).log
+    found = sgms_mhe.identify(log, mass=20.0, elements=2)
+    notes = {number.name: number.note for number in found.numbers if number.name.startswith("stribeck")}
+    assert notes == {"stribeck_ratio": DEFAULT, "stribeck_velocity": DEFAULT}
+    assert sum(limit.startswith("stribeck: not determined") for limit in found.limits) == 1
+    assert found.toml.count(DEFAULT) == 2 and "shows no" not in found.toml
+
+
 def test_an_identification_in_python(log: Log) -> None:
     """One log is no list; the mass is called as the axis's kind calls it; numbers as a table, and as a curve."""
     steps: list[str] = []
@@ -115,7 +129,7 @@ def test_an_identification_in_python(log: Log) -> None:
     assert found.machine.name == "axis" and "numbers at the full rate" in steps
     frame = found.to_frame().set_index("name")
     assert frame.loc["coulomb", "value"] == found.number("coulomb").value
-    assert "coulomb" in found._repr_html_()
+    assert "coulomb" in found._repr_html_() and len(repr(found)) < 200
     assert json.dumps(found.to_json(), allow_nan=False)
     axes = found.plot()
     force = axes.lines[0].get_ydata()

@@ -82,7 +82,7 @@ def test_a_combination_is_stated_in_place_of_its_causes(machine: Machine) -> Non
     assert not found.identifies(ripple)
     assert not found.identifies(spring)
     (sentence,) = (limit for limit in found.limits if "alone" in limit)
-    assert "force_ripple.amplitude_N -0.25 position_spring.stiffness_N_m = 0.05 +- 0.02" in sentence
+    assert "force_ripple.amplitude_N -0.25 position_spring.stiffness_N_m = 0.050 +- 0.020" in sentence
     content = json.loads(json.dumps(found.to_json()))
     entry = content["causes"][1]["known_combination"]
     assert entry["weights"] == [1.0, -0.25]
