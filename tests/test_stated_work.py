@@ -65,7 +65,8 @@ class Counter:
         for path in source.glob("*.[ch]"):
             text = re.sub(r"typedef (?:double|float) (\w*_real);", r"typedef counted \1;", path.read_text())
             text = re.sub(r"__builtin_fabsf?\(", "counted_fabs(", text)
-            text = re.sub(r"(#define INVERSE_MOVE) \S+", r"\1 1e30", text)  # every interval has moved too far
+            text = re.sub(r"(#define INVERSE_MOVE) \S+", r"\1 1e30", text)  # every interval has moved too far,
+            text = re.sub(r"(#define CLEARLY) \S+", r"\1 0.0", text)  # and the oldest is chosen: the longest sweep
             path.write_text(text)
         number = {"double": "double", "single": "float"}[code.precision]
         definitions = [
