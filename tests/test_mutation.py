@@ -12,7 +12,7 @@ import pytest
 
 from sgms_bench.verification import mutation
 from sgms_bench.verification.faults import FAULTS, Fault
-from sgms_bench.verification.mutants import Mutant, draw_mutants
+from sgms_bench.verification.mutants import STATEMENT_KINDS, Mutant, draw_mutants, draw_statements
 from sgms_bench.verification.mutation import (
     REPLAYED,
     Campaign,
@@ -71,11 +71,12 @@ def test_faults_are_noticed(require_tool: Tool, monkeypatch: pytest.MonkeyPatch)
     """All faults by hand, and mutants: as many of these few as chance lets be of the many that `make verify` draws."""
     require_tool("gcc")
     monkeypatch.setattr(mutation, "specimens", lambda: map(specimen, ("ekf", "switching")))
-    by_hand, at_random, together = check_self_test(36, 7, lambda _: None)
+    by_hand, *of_classes = check_self_test(36, 7, lambda _: None)
     assert by_hand.failures == () and by_hand.tried.startswith(f"{len(FAULTS)} faults, {len(FAULTS)} noticed")
-    counted, noticed = map(int, re.findall(r"(\d+) (?:mutants|noticed)", at_random.tried))
-    assert noticed > 0.8 * counted - 2.0 * math.sqrt(0.8 * 0.2 * counted), at_random.failures
-    assert re.match(rf"{counted} mutants that are not equivalent, ", together.tried) and len(together.failures) <= 4
+    for at_random, together in (of_classes[:2], of_classes[2:]):
+        counted, noticed = map(int, re.findall(r"(\d+) (?:mutants|noticed)", at_random.tried))
+        assert noticed > 0.8 * counted - 2.0 * math.sqrt(0.8 * 0.2 * counted), at_random.failures
+        assert re.match(rf"{counted} mutants that are not equivalent, ", together.tried) and len(together.failures) <= 4
 
 
 @pytest.mark.slow
@@ -94,11 +95,61 @@ def test_a_second_origin_and_filters_that_settle_early_are_noticed(tmp_path: Pat
         assert campaign.judge({**files, "sgms_filter.h": early}) is Verdict.MISSED
 
 
-def test_mutants_are_those_of_the_seed(package: Package) -> None:
-    drawn = draw_mutants(package, 20, 3)
-    assert drawn == draw_mutants(package, 20, 3) != draw_mutants(package, 20, 4)
+@pytest.mark.parametrize("draw", [draw_mutants, draw_statements])
+def test_mutants_are_those_of_the_seed(draw: Callable[..., list[Mutant]], package: Package) -> None:
+    drawn = draw(package, 20, 3)
+    assert len(drawn) == 20 and drawn == draw(package, 20, 3) != draw(package, 20, 4)
     for mutant in drawn:
         assert mutant.spoil(package)[mutant.file] != package.files[mutant.file]
+
+
+SURVIVED = {
+    "saved while an update has written it": (
+        "copy(saved->theta, self->estimate",
+        "copy(saved->theta, self->parameters",
+    ),
+    "every state by the noise of the first": (
+        "map->x[i] / self->settings.state[i]",
+        "map->x[i] / self->settings.state[0]",
+    ),
+    "reset to the parameters in use": (
+        "    copy(self->parameters.theta, self->estimate.theta, PARAMETERS);\n    start_window(self, zero, NULL);",
+        "    start_window(self, zero, NULL);",
+    ),
+    "reset that keeps errors that stay": (
+        "    start_window(self, zero, NULL);\n    start_lasting(self);\n}",
+        "    start_window(self, zero, NULL);\n}",
+    ),
+    "start again that keeps them": (
+        "    start_window(self, self->estimate.state, NULL);\n    start_lasting(self);\n",
+        "    start_window(self, self->estimate.state, NULL);\n",
+    ),
+    "parameter set into the old window": ("    start_window(self, x, self->estimate.root);\n", ""),
+    "sweep of the one before": ("        self->sweep.back = back > self->sweep.back ? back : self->sweep.back;\n", ""),
+    "mean of the prior at zero": ("factor[i * FACTOR_WIDTH + FACTOR_ROWS] = inverse_sd[i] * x[i];", ";"),
+    "loaded parameters not in use": ("    copy(self->parameters.theta, saved->theta, PARAMETERS);\n", ""),
+}
+"""Mutants of statements that no self-test noticed once."""
+
+
+@pytest.mark.parametrize("what", SURVIVED)
+def test_mutant_that_survived_once_is_noticed(
+    what: str, package: Package, campaign: Campaign, require_tool: Tool
+) -> None:
+    require_tool("gcc")
+    (old, new), source = SURVIVED[what], package.files["etel_xy.c"]
+    assert source.count(old) == 1
+    assert campaign.judge({**package.files, "etel_xy.c": source.replace(old, new)}) is Verdict.NOTICED
+
+
+def test_statements_of_every_kind_are_changed(package: Package) -> None:
+    dropped, forced, sibling, stale, swapped = np.array(draw_statements(package, 25, 3), object).reshape(5, 5)
+    assert len(STATEMENT_KINDS) == 5 and {mutant.new for mutant in dropped} == {";"}
+    assert {mutant.new for mutant in forced} <= {"(0)", "(1)"}
+    for mutant in (*sibling, *stale):
+        assert re.fullmatch(r"\w+", mutant.old) and re.fullmatch(r"\w+", mutant.new) and mutant.old != mutant.new
+    for mutant in swapped:
+        assert mutant.new != mutant.old and mutant.new.count(";") == 2
 
 
 def test_campaign_fails_where_too_few_are_noticed() -> None:
@@ -117,12 +168,12 @@ def test_survivors_count_unless_they_have_a_reason() -> None:
     assert is_explained(equal) and not is_explained(plain)
     verdicts = [(plain, Verdict.NOTICED)] * 5 + [(plain, Verdict.SAME)] * 2
     verdicts += [(plain, Verdict.REPLAYED), (plain, Verdict.UNCHANGED), (equal, Verdict.UNCHANGED)]
-    alone, together = judge_mutants(("alone", "together"), verdicts)
+    alone, together = judge_mutants(("alone", "together"), verdicts, 0.8)
     assert alone.tried == "7 mutants that are not equivalent, 5 noticed"
     assert alone.failures == ("own.c:7: update: a < b: < -> <=",) * 2
     assert together.tried.startswith("7 mutants that are not equivalent, 6 noticed: 5 by the self-test, 1 more by the")
     assert together.tried.endswith("1 equivalent for reasons of the list") and len(together.failures) == 1
-    explained = judge_mutants(("alone", "together"), [(plain, Verdict.NOTICED)] * 4 + [(equal, Verdict.UNCHANGED)])
+    explained = judge_mutants(("alone", "together"), [(plain, Verdict.NOTICED)] * 4 + [(equal, Verdict.UNCHANGED)], 0.8)
     assert [outcome.failures for outcome in explained] == [(), ()]
 
 

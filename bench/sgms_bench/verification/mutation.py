@@ -12,7 +12,7 @@ from typing import Final
 from sgms_bench import C_DIR
 from sgms_bench.motions import timed_motion
 from sgms_bench.verification.faults import FAULTS
-from sgms_bench.verification.mutants import Mutant, draw_mutants
+from sgms_bench.verification.mutants import Mutant, draw_mutants, draw_statements
 from sgms_bench.verification.outcome import AbsentError, CheckOutcome, Run, definitions, require, run
 from sgms_bench.verification.specimens import specimens
 from sgms_bench.verification.survivors import is_explained
@@ -25,7 +25,8 @@ from sgms_mhe.signals.logs import Log, write_log
 Progress = Callable[[str], None]
 
 BY_HAND_NOTICED: Final = 0.95
-AT_RANDOM_NOTICED: Final = 0.8
+AT_RANDOM_NOTICED: Final = {"operators": 0.8, "statements": 0.85}
+"""Of mutants of each class by the self-test."""
 ALL_NOTICED: Final = 0.98
 """Of mutants by one judge or another."""
 SECONDS: Final = 20
@@ -42,18 +43,21 @@ def check_self_test(mutants: int, seed: int, progress: Progress) -> list[CheckOu
     The faults are of `etel_xy`; the mutants of it and of the specimens.
 
     Args:
-        mutants: how many at random, in all; of each package as many.
+        mutants: how many at random of each class, in all; of each package as many.
         seed: of them.
         progress: called after every tenth fault by hand, and with every mutant that the self-test does not notice.
     """
-    titles = "self-test: faults by hand", "self-test: mutants at random", "self-test, replay, exercise: mutants"
+    by_hand_title = "self-test: faults by hand"
+    classes = {"operators": draw_mutants, "statements": draw_statements}
+    titles = {of: (f"self-test: {of} at random", f"self-test, replay, exercise: {of}") for of in classes}
     try:
         require("gcc", "prlimit")
     except AbsentError as absent:
-        return [CheckOutcome(title, "", skipped=str(absent)) for title in titles]
+        absents = by_hand_title, *(title for pair in titles.values() for title in pair)
+        return [CheckOutcome(title, "", skipped=str(absent)) for title in absents]
     machines = [load_machine("etel_xy"), *specimens()]
     by_hand: list[tuple[str, Verdict]] = []
-    at_random: list[tuple[Mutant, Verdict]] = []
+    at_random: dict[str, list[tuple[Mutant, Verdict]]] = {of: [] for of in classes}
     for k, machine in enumerate(machines):
         package = emit_package(machine)
         count = mutants // len(machines) + (k < mutants % len(machines))
@@ -62,17 +66,17 @@ def check_self_test(mutants: int, seed: int, progress: Progress) -> list[CheckOu
             for fault in FAULTS if k == 0 else ():
                 by_hand.append((fault.what, campaign.judge(fault.spoil(dict(package.files), machine.name))))
                 if len(by_hand) % 10 == 0:
-                    progress(f"{titles[0]}: {len(by_hand)}")
-            for mutant in draw_mutants(package, count, seed):
-                files = mutant.spoil(package)
-                verdict = campaign.judge(files)
-                if verdict is Verdict.UNCHANGED and not is_explained(mutant) and not campaign.is_within_objects(files):
-                    verdict = Verdict.MISSED
-                at_random.append((mutant, verdict))
-                if verdict is not Verdict.NOTICED:
-                    progress(f"{machine.name}: {verdict.name}: {mutant}")
-        progress(f"{titles[1]}: {machine.name}, {len(at_random)} in all")
-    return [judge_faults(titles[0], by_hand), *judge_mutants(titles[1:], at_random)]
+                    progress(f"{by_hand_title}: {len(by_hand)}")
+            for of, draw in classes.items():
+                for mutant in draw(package, count, seed):
+                    at_random[of].append((mutant, campaign.judge_mutant(mutant, package)))
+                    if at_random[of][-1][1] is not Verdict.NOTICED:
+                        progress(f"{machine.name}: {at_random[of][-1][1].name}: {mutant}")
+        progress(f"{machine.name}: {sum(map(len, at_random.values()))} mutants in all")
+    outcomes = [judge_faults(by_hand_title, by_hand)]
+    for of, verdicts in at_random.items():
+        outcomes += judge_mutants(titles[of], verdicts, AT_RANDOM_NOTICED[of])
+    return outcomes
 
 
 class Verdict(Enum):
@@ -97,7 +101,9 @@ def judge_faults(title: str, verdicts: Sequence[tuple[str, Verdict]]) -> CheckOu
     return CheckOutcome(title, tried, survivors if len(survivors) > (1.0 - BY_HAND_NOTICED) * len(verdicts) else ())
 
 
-def judge_mutants(titles: Sequence[str], verdicts: Iterable[tuple[Mutant, Verdict]]) -> list[CheckOutcome]:
+def judge_mutants(
+    titles: Sequence[str], verdicts: Iterable[tuple[Mutant, Verdict]], wanted_of_one: float
+) -> list[CheckOutcome]:
     """Outcomes of mutants: of the self-test alone, and of all judges together.
 
     A mutant that none of them notices counts as one that ought to be, unless the list of survivors has a reason why it
@@ -106,6 +112,7 @@ def judge_mutants(titles: Sequence[str], verdicts: Iterable[tuple[Mutant, Verdic
     Args:
         titles: of the two checks.
         verdicts: of each mutant.
+        wanted_of_one: share that the self-test has to notice.
     """
     known = [(mutant, verdict) for mutant, verdict in verdicts if verdict is not Verdict.SAME]
     count = Counter(verdict for _, verdict in known)
@@ -119,7 +126,7 @@ def judge_mutants(titles: Sequence[str], verdicts: Iterable[tuple[Mutant, Verdic
         f"self-test, {count[Verdict.REPLAYED]} more by the replay, {count[Verdict.MISSED]} by the exercise alone; "
         f"{len(unseen) - len(unexplained)} equivalent for reasons of the list",
     ]
-    limits = (AT_RANDOM_NOTICED, ALL_NOTICED)
+    limits = (wanted_of_one, ALL_NOTICED)
     return [
         CheckOutcome(title, tried, left if len(left) > (1.0 - wanted) * real else ())
         for title, tried, left, wanted in zip(titles, told, (missed, unexplained), limits, strict=True)
@@ -175,6 +182,13 @@ class Campaign:
             if self._replay(bad, spoilt) != self._estimates:
                 return Verdict.REPLAYED
             return Verdict.UNCHANGED if self._exercise(bad, spoilt) == self._digest else Verdict.MISSED
+
+    def judge_mutant(self, mutant: Mutant, package: Package) -> Verdict:
+        """Return what they say of a mutant, once more with every access checked where they say nothing."""
+        files = mutant.spoil(package)
+        verdict = self.judge(files)
+        is_open = verdict is Verdict.UNCHANGED and not is_explained(mutant)
+        return Verdict.MISSED if is_open and not self.is_within_objects(files) else verdict
 
     def is_within_objects(self, files: Mapping[str, str]) -> bool:
         """Return whether the exercise of other files comes to the same with every access checked."""

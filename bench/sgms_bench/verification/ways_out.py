@@ -25,7 +25,6 @@ NO_FAULT: Final = {
     r"due by tick: (sign|zero|half)": "tick() ends the interval itself",
     r"settings .*: late": "the machine file's at every call",
     r"save (format|machine)\b.*: late": "the same at every call",
-    r"save spread.* by (sample|insert): late": "one, until a block of intervals has ended",
     r"status_text .*: (sign|half)": "no number",
 }
 """Faults that leave an output as it is, with the reason."""

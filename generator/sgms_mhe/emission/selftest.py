@@ -131,6 +131,7 @@ def selftest_vectors(model: Model) -> Vectors:
         move=weights.move * (np.sqrt(states) if machine.friction.smoothing else states),
         parameter=weights.parameter / parameters,
         drift=weights.drift * parameters,
+        lasting_block=1,
     )
     if bounded:
         ones = np.ones(model.n_p)

@@ -28,10 +28,12 @@ class InnovationColour:
 
     Attributes:
         first: information of the mean before any block, the measurements of one; independent innovations make 1.
+        length: intervals after which a block ends.
         block: the block's intervals so far.
     """
 
     first: float
+    length: int = BLOCK
     block: list[Sequence[Innovation]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -40,7 +42,7 @@ class InnovationColour:
     def take(self, interval: Sequence[Innovation]) -> None:
         """Take the innovations of an interval in."""
         self.block.append(interval)
-        if len(self.block) < BLOCK:
+        if len(self.block) < self.length:
             return
         innovations = [innovation for part in self.block for innovation in part]
         self.block = []
@@ -65,10 +67,11 @@ class ParameterWander:
 
     Args:
         drift: random walk of theta per update (n_p), 1 sigma.
+        length: updates after which a block ends.
     """
 
-    def __init__(self, drift: Array) -> None:
-        self._growth = BLOCK * drift**2
+    def __init__(self, drift: Array, length: int = BLOCK) -> None:
+        self._growth, self._length = BLOCK * drift**2, length
         self._theta: Array | None = None
         self._variance: Array | None = None
         self._updates = 0
@@ -79,7 +82,8 @@ class ParameterWander:
         self._updates += 1
         if self._theta is None or self._variance is None:
             self._theta, self._variance = theta.copy(), variance.copy()
-        if self._updates < BLOCK:
+            return
+        if self._updates < self._length:
             return
         self._updates = 0
         before = self._variance + self._growth
@@ -102,11 +106,12 @@ class LastingErrors:
         drift: random walk of theta per update (n_p), 1 sigma.
         measurements: in an interval.
         enabled: whether variances are scaled at all.
+        length: intervals after which a block ends; its numbers count as those of BLOCK.
     """
 
-    def __init__(self, drift: Array, measurements: int, *, enabled: bool) -> None:
+    def __init__(self, drift: Array, measurements: int, *, enabled: bool, length: int = BLOCK) -> None:
         self._enabled = enabled
-        self._colour, self._wander = InnovationColour(float(BLOCK * measurements)), ParameterWander(drift)
+        self._colour, self._wander = InnovationColour(float(BLOCK * measurements), length), ParameterWander(drift, length)
 
     def take(self, interval: Sequence[Innovation], theta: Array, variance: Array) -> None:
         """Take an update with motion in: its innovations, its estimate and the variances of that (n_p)."""

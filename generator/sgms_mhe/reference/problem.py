@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.model import Model
 from sgms_mhe.reference.integrator import ReferenceIntegrator
-from sgms_mhe.reference.lasting import LastingErrors
+from sgms_mhe.reference.lasting import BLOCK, LastingErrors
 from sgms_mhe.reference.plan import Plan, inner_readings, motion_of
 from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling
 from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
@@ -62,6 +62,7 @@ class Weights:
         self_scaling: whether measurements are weighed by how well they were predicted.
         hold_path: motion since an interval that counted, below which one does not count [m].
         max_velocity: speed beyond which the estimate is flagged [m/s].
+        lasting_block: intervals after which a block of errors that stay ends.
     """
 
     horizon: int
@@ -78,6 +79,7 @@ class Weights:
     self_scaling: bool
     hold_path: float
     max_velocity: float
+    lasting_block: int = BLOCK
 
     @classmethod
     def of(cls, model: Model) -> Weights:
@@ -200,7 +202,8 @@ class NodeRecord:
     def start_lasting(self, *, drifts: bool = True) -> LastingErrors:
         """Errors of the model that stay, before any measurement; `drifts`: whether the drift of theta enters at all."""
         drift, measurements = drifts * self.weights.drift, 1 + self.inner_y.shape[1]
-        return LastingErrors(drift, measurements, enabled=self.weights.self_scaling)
+        weights = self.weights
+        return LastingErrors(drift, measurements, enabled=weights.self_scaling, length=weights.lasting_block)
 
     def moves(self, interval: int) -> bool:
         """Return True if an interval counts as motion: theta drifts, and its innovations tell of errors that stay."""
