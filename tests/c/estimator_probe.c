@@ -146,9 +146,9 @@ int probe_numbers(void)
 /* Statuses by their names. */
 int probe_status(int which)
 {
-    const int values[] = {CONSTANT(OK),      CONSTANT(FILLING),   CONSTANT(MISSING),  CONSTANT(HOLD),
-                          CONSTANT(BOUND),   CONSTANT(SPEED),     CONSTANT(OVERRUN),  CONSTANT(EARLY),
-                          CONSTANT(NUMERIC), CONSTANT(OVERLAP),   CONSTANT(MISMATCH), CONSTANT(REFUSED),
+    const int values[] = {CONSTANT(OK),      CONSTANT(FILLING),    CONSTANT(MISSING),  CONSTANT(HOLD),
+                          CONSTANT(BOUND),   CONSTANT(SPEED),      CONSTANT(OVERRUN),  CONSTANT(EARLY),
+                          CONSTANT(NUMERIC), CONSTANT(OVERLAP),    CONSTANT(MISMATCH), CONSTANT(REFUSED),
                           CONSTANT(STALE),   CONSTANT(ARITHMETIC), CONSTANT(UNSTARTED)};
     return values[which];
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from sgms_bench.verification.gaps import NUMBERS, Gap
+from sgms_bench.verification.gaps import GUARD, NO_NUMBER, NUMBERS, Gap
 from sgms_bench.verification.mutants import Mutant
 
 WHEN: Final = "says when work is done, not what comes out; stated work is held by tests/test_stated_work.py"
@@ -20,6 +20,8 @@ ZERO: Final = "a term that is zero, or a factor that is one, in this package"
 PADDING: Final = "lanes of a vector that hold copies where one interval is integrated at a time"
 SUM: Final = "another sum of bits that tells as much of them"
 FINITE: Final = "a derivative is finite where the number itself is"
+IN_USE: Final = "parameters in use are those of the last estimate, but for the end of an update"
+UNREAD: Final = "a signal that no effect of this package reads"
 
 SURVIVORS: Final[tuple[Gap, ...]] = (
     Gap(r"next_cost|workload_of|units_done", r"", WHEN),
@@ -64,6 +66,24 @@ SURVIVORS: Final[tuple[Gap, ...]] = (
     Gap(r"GROUP_step", r"l < lanes", PADDING),
     Gap(r"is_model", r"d_q", FINITE),
     Gap(r"add_bits", r"31u \* sum", SUM),
+    Gap(r"sum_of|sum_of_lasting", r"add_bits\(.*-> sum = add_bits\(", SUM),
+    Gap(
+        r"inner_row|set_factor|friction_ahead|update",
+        r"theta.*: (?:parameters -> estimate|estimate -> parameters)$",
+        IN_USE,
+    ),
+    Gap(r"\w+", r"^SGMS_FENCE\(\);: SGMS_FENCE\(\); -> ;$", OTHER_TASK),
+    Gap(r"NAME_tick", r"phase == IDLE\) .*-> \(0\)$|is_complete\(self\)\) .*-> \(1\)$", WHEN),
+    Gap(r"take_sample", r"drop_rest\(self\);|age % 128u", SMALL),
+    Gap(r"start_with|start_again", r"window\.friction\[0\] = 0", OVERWRITTEN),
+    Gap(r"start_interval", r"fill\(self->input\.merged", OVERWRITTEN),
+    Gap(r"start_lasting", r"fill\(self->lasting\.theta", OVERWRITTEN),
+    Gap(r"start_signals", r"chain\.position\[[01]\] = 0", OVERWRITTEN),
+    Gap(r"sgms_filter_disturbed", r"counts\[2\] = 0;: .*-> ;$", OVERWRITTEN),
+    Gap(r"start_with", r"is_plausible\(end\)", NO_NUMBER),
+    Gap(r"friction_ahead", r"is_finite\(friction\) \? friction", NO_NUMBER),
+    Gap(r"friction_ahead", r"^w\[W_(?:ACCELERATION|FORCE|POSITION|TIME)\]", UNREAD),
+    Gap(r"take_colour", r"block\[2\] > 0\.0", GUARD),
 )
 """All of them. A mutant that is noticed needs no reason, even where one of these would fit it."""
 

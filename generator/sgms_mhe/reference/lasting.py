@@ -111,7 +111,10 @@ class LastingErrors:
 
     def __init__(self, drift: Array, measurements: int, *, enabled: bool, length: int = BLOCK) -> None:
         self._enabled = enabled
-        self._colour, self._wander = InnovationColour(float(BLOCK * measurements), length), ParameterWander(drift, length)
+        self._colour, self._wander = (
+            InnovationColour(float(BLOCK * measurements), length),
+            ParameterWander(drift, length),
+        )
 
     def take(self, interval: Sequence[Innovation], theta: Array, variance: Array) -> None:
         """Take an update with motion in: its innovations, its estimate and the variances of that (n_p)."""
