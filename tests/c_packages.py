@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +17,9 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
+from sgms_mhe.support import cache
 from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS, shared_library
 
@@ -25,6 +29,8 @@ PROBES = Path(__file__).parent / "c"
 STRICT = ("-std=c99", *WARNING_FLAGS)
 REAL: Mapping[str, Any] = {"double": np.float64, "single": np.float32}
 PRECISIONS = ("double", "single")
+QUICK = ("-std=c99", "-O1", "-ffp-contract=off")
+"""Where no level is judged: numbers are the same at all, and the compiler takes half the time of -O3."""
 
 
 def machine(**changes: Any) -> Machine:
@@ -55,6 +61,26 @@ def written(package: Package, folder: Path) -> Path:
     return target
 
 
+_packages: dict[tuple[str, bool], Package] = {}
+
+
+def package_of(*, selftest: bool = False, **changes: Any) -> Package:
+    """Package of etel_xy with changes, made once: the vectors of a self-test take seconds."""
+    settings = machine(**changes)
+    if (settings.digest, selftest) not in _packages:
+        _packages[settings.digest, selftest] = emit_package(settings, selftest=selftest)
+    return _packages[settings.digest, selftest]
+
+
+def probed(settings: Machine, folder: Path, *probes: str) -> ctypes.CDLL:
+    """Shared library of a package, written below `folder`, with the probe of estimators and others of tests/c."""
+    package = written(emit_package(settings, selftest=False), folder)
+    sources = [package / f"{settings.name}.c", PROBES / "estimator_probe.c", *(PROBES / probe for probe in probes)]
+    library = ctypes.CDLL(str(shared_library(sources, [package], [*QUICK, *replay_definitions(settings.name)])))
+    library.probe_size.restype = ctypes.c_size_t
+    return library
+
+
 def compile_probe(
     source: str | Path, *include: Path, definitions: Sequence[str] = (), flags: Sequence[str] = DEFAULT_FLAGS
 ) -> ctypes.CDLL:
@@ -76,13 +102,44 @@ def pointer(array: NDArray[Any]) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
+def flat(*words: Any) -> list[str]:
+    """Words of a command, given as text, paths and lists of them in any depth."""
+    return [w for word in words for w in ([str(word)] if isinstance(word, str | Path) else flat(*word))]
+
+
 def run(*words: Any) -> str:
-    """Run a command, given in words (text, paths) and lists of words; its whole output is the failure's message."""
-    command = [str(w) for word in words for w in ([word] if isinstance(word, str | Path) else word)]
+    """Run a command, given in words and lists of words; its whole output is the failure's message."""
+    command = flat(*words)
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise AssertionError(f"{' '.join(command)}\nexit code {done.returncode}\n{done.stdout}{done.stderr}")
     return done.stdout
+
+
+@lru_cache
+def _version(tool: str) -> str:
+    return run(tool, "--version")
+
+
+def compile_object(tool: str, source: Path, *options: Any) -> Path:
+    """Object of a source, compiled once of the same text behind the preprocessor, by any test of any run."""
+    text = run(tool, options, "-E", "-P", source)
+    level = [word for word in flat(*options) if not word.startswith(("-I", "-D", "-U"))]  # the others are in the text
+    key = hashlib.sha256("\0".join([_version(tool), *level, source.suffix, text]).encode()).hexdigest()
+    kept = cache.find(source.stem, key, ".o")
+    if kept is None:
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / "made.o"
+            run(tool, options, "-c", source, "-o", made)
+            kept = cache.keep(source.stem, key, ".o", made.read_bytes())
+    return kept
+
+
+def build(tool: str, sources: Sequence[Path], target: Path, *options: Any) -> Path:
+    """Program of sources and objects; each source is compiled once of the same text."""
+    objects = [path if path.suffix == ".o" else compile_object(tool, path, *options) for path in sources]
+    run(tool, options, objects, "-o", target, "-lm")
+    return target
 
 
 def symbols(path: Path, *arguments: str) -> list[tuple[str, str]]:

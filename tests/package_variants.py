@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ class Variant:
     selftest: bool = False
     model: Callable[[], Model] | None = None
 
-    def emit(self) -> Package:
+    @cached_property
+    def package(self) -> Package:
         """The package as the generator makes it now."""
         if self.model is not None:
             model = self.model()

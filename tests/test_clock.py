@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from c_packages import PRECISIONS, PROBES, Array, machine, pointer, scheme, written
+from c_packages import PRECISIONS, Array, machine, pointer, probed, scheme
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.host.compiled import replay_definitions
-from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
 
 RATE = 10_000
 YEAR = 365 * 86400
@@ -31,11 +29,7 @@ class Axis:
         estimator = {"horizon": 4, "noise": {"self_scaling": False}, **changes}
         tables = {"code": {"precision": precision}, "estimator": estimator, "sampling": sampling}
         settings = machine(effects=effects, **tables)
-        package = written(emit_package(settings, selftest=False), folder)
-        sources = [package / "etel_xy.c", PROBES / "estimator_probe.c", PROBES / "clock.c"]
-        flags = [*DEFAULT_FLAGS, *replay_definitions("etel_xy")]
-        self.c = ctypes.CDLL(str(shared_library(sources, [package], flags)))
-        self.c.probe_size.restype = ctypes.c_size_t
+        self.c = probed(settings, folder, "clock.c")
         self.c.probe_insert.restype = ctypes.c_double
 
     def friction(self, clock: int, updates: int = 12) -> Array:

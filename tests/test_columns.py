@@ -35,7 +35,7 @@ def tokens(text: str) -> list[str]:
 
 @pytest.mark.parametrize("title", SHAPES)
 def test_no_line_is_longer(title: str) -> None:
-    assert not long_lines(VARIANTS[title].emit())
+    assert not long_lines(VARIANTS[title].package)
 
 
 def test_no_line_is_longer_with_a_long_name_and_every_binding() -> None:
@@ -48,7 +48,7 @@ def test_no_line_is_longer_with_a_long_name_and_every_binding() -> None:
 @pytest.mark.parametrize("name", ["n" * 30, "a_name_that_is_longer_than_most_of_them"])
 def test_code_is_the_same(name: str) -> None:
     """Of lines that a longer name has made too long: the same words in the same order, and nothing left to do."""
-    for file, text in c_files(VARIANTS["flow, 5 merged, all"].emit()).items():
+    for file, text in c_files(VARIANTS["flow, 5 merged, all"].package).items():
         longer = text.replace("element_", f"{name}_").replace("etel_xy_", f"{name}_")
         within = wrap_columns(longer)
         assert tokens(within) == tokens(longer), file

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from c_packages import PRECISIONS, PROBES, Array, run, written
+from c_packages import PRECISIONS, PROBES, Array, build, compile_object, run, written
 from package_variants import VARIANTS
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.support.paths import runtime_dir
@@ -33,7 +33,7 @@ PACKAGES = (
 @pytest.mark.slow
 @pytest.mark.parametrize("title", PACKAGES)
 def test_package_is_cplusplus(title: str, require_tool: Tool, tmp_path: Path) -> None:
-    package = VARIANTS[title].emit()
+    package = VARIANTS[title].package
     source = written(package, tmp_path) / f"{package.machine.name}.c"
     run(require_tool("clang++"), LANGUAGE, "-fsyntax-only", source)
     # What C++20 deprecates, C++26 has no more: arithmetic of two enumerations.
@@ -74,15 +74,15 @@ def estimates(library: Path) -> Array:
 
 @pytest.mark.parametrize("title", ["machine etel_xy", "machine etel_xy_controller", "flow, ekf", "toy, states"])
 def test_compiled_as_cplusplus_it_gives_the_same_bits(title: str, require_tool: Tool, tmp_path: Path) -> None:
-    package = VARIANTS[title].emit()
+    package = VARIANTS[title].package
     name = package.machine.name
     folder = written(package, tmp_path)
-    probe = (require_tool("gcc"), "-shared", f"-I{folder}", *replay_definitions(name), *NUMBERS)
+    probe = (f"-I{folder}", *replay_definitions(name), *NUMBERS)
     found = []
     for language, compiler, standard in (("c", "gcc", "c99"), ("c++", "g++", "c++17")):
-        code, library = tmp_path / f"{compiler}.o", tmp_path / f"{compiler}.so"
-        run(require_tool(compiler), "-x", language, f"-std={standard}", NUMBERS, "-c", folder / f"{name}.c", "-o", code)
-        run(probe, PROBES / "estimator_probe.c", code, "-o", library)
-        found.append(estimates(library))
+        options = ["-x", language, f"-std={standard}", *NUMBERS]
+        code = compile_object(require_tool(compiler), folder / f"{name}.c", options)
+        sources, library = [PROBES / "estimator_probe.c", code], tmp_path / f"{compiler}.so"
+        found.append(estimates(build(require_tool("gcc"), sources, library, "-shared", probe)))
     assert np.isfinite(found[0]).all() and np.ptp(found[0]) > 1.0
     assert found[0].tobytes() == found[1].tobytes()

@@ -7,12 +7,14 @@ import json
 import math
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from c_packages import PRECISIONS, STRICT, machine, run, symbols, written
+import c_packages
+from c_packages import PRECISIONS, STRICT, build, compile_object, run, symbols, written
 from package_variants import VARIANTS
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
@@ -35,18 +37,19 @@ int main(void)
     return status;
 }
 """
-KINDS: dict[str, Package] = {}
+KINDS: dict[str, dict[str, Any]] = {
+    "double": {"code": {"precision": "double"}},
+    "single": {"code": {"precision": "single"}},
+    "ekf": {"code": {"precision": "double"}, "estimator": {"kind": "ekf"}},
+}
 
 
+@cache
 def package_of(kind: str) -> Package:
-    """A package with its self-test; made once."""
-    if kind not in KINDS:
-        changes: dict[str, Any] = {"code": {"precision": "single" if "single" in kind else "double"}}
-        if "ekf" in kind:
-            changes["estimator"] = {"kind": "ekf"}
-        turns = "rotary" in kind
-        KINDS[kind] = emit_package(load_machine("etel_xy_rotary") if turns else machine(**changes))
-    return KINDS[kind]
+    """A package with its self-test."""
+    if kind == "rotary":
+        return emit_package(load_machine("etel_xy_rotary"))
+    return c_packages.package_of(selftest=True, **KINDS[kind])
 
 
 each_kind = pytest.mark.parametrize("kind", ["double", "single", "ekf", "rotary"])
@@ -78,8 +81,8 @@ def test_lines_of_the_page_compile_and_both_ways_say_the_same(kind: str, require
     for title, (text, slow) in programs.items():
         source, program = tmp_path / f"{title}.c", tmp_path / title
         source.write_text(text.replace("SLOW_TASK", slow), encoding="utf-8")
-        files = [source, *sorted(folder.glob("*.c")), "-o", program]
-        run(require_tool("gcc"), STRICT, "-Wno-redundant-decls", "-O1", f"-I{folder}", files)
+        options = [*STRICT, "-Wno-redundant-decls", "-O1", f"-I{folder}"]
+        build(require_tool("gcc"), [source, *sorted(folder.glob("*.c"))], program, options)
         said.append(run(program).splitlines())
     differ = {k for k, (first, second) in enumerate(zip(*said, strict=True)) if first != second}
     assert len(said[0]) == 6001 and differ and differ <= set(range(0, 6001, 100))
@@ -103,8 +106,8 @@ def test_page_states_sizes_as_compilers_find_them(kind: str, require_tool: Tool,
     (tmp_path / "sizes.c").write_text(f'#include "{name}.h"\n{checks}')
     run(require_tool("gcc"), "-std=c99", f"-I{folder}", "-c", tmp_path / "sizes.c", "-o", tmp_path / "sizes.o")
     # Without optimization every constant is in the object as it is declared.
-    run(require_tool("gcc"), "-std=c99", "-O0", "-c", folder / f"{name}.c", "-o", tmp_path / "whole.o")
-    rows = [line.split() for line in run("nm", "-S", tmp_path / "whole.o").splitlines()]
+    whole = compile_object(require_tool("gcc"), folder / f"{name}.c", "-std=c99", "-O0")
+    rows = [line.split() for line in run("nm", "-S", whole).splitlines()]
     tables = {row[3].partition(".")[0]: int(row[1], 16) for row in rows if len(row) == 4 and row[2] in "rd"}
     arrays = {n: size for n, size in tables.items() if n not in ("chain", "flow_table", "__func__", "zero")}
     (found,) = re.findall(r"\| flash, tables \| (\d+) \|", page)
@@ -146,12 +149,10 @@ def test_links_nothing_but_what_the_page_names(
 ) -> None:
     if kind == "double" and compiler.startswith(("arm", "riscv")):
         return  # these cores have no double precision: a library for it is the application's choice
-    package = VARIANTS["effects: time, ekf, single"].emit() if kind == "clock" else package_of(kind)
+    package = VARIANTS["effects: time, ekf, single"].package if kind == "clock" else package_of(kind)
     folder, tool = written(package, tmp_path), require_tool(compiler)
-    made = []
-    for source in sorted(folder.glob("*.c")):
-        made.append(tmp_path / f"{source.stem}.o")
-        run(tool, "-std=c99", flags, "-ffreestanding", "-fno-stack-protector", "-fno-pie", "-c", source, "-o", made[-1])
+    options = ["-std=c99", *flags, "-ffreestanding", "-fno-stack-protector", "-fno-pie"]
+    made = [compile_object(tool, source, options) for source in sorted(folder.glob("*.c"))]
     found = [row for path in made for row in symbols(path)]
     defined = {name for symbol, name in found if symbol != "U"}
     assert {name for symbol, name in found if symbol == "U"} - defined <= linkable(package)

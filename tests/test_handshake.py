@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from c_packages import PRECISIONS, STRICT, machine, run, written
-from sgms_mhe.emission.package import emit_package
+from c_packages import PRECISIONS, STRICT, compile_object, package_of, run, written
 from sgms_mhe.emission.rendering import declared_digest
 
 APPLICATION = """
@@ -33,16 +32,16 @@ OTHERS: dict[str, dict[str, Any]] = {
 
 
 def folder_of(folder: Path, **changes: Any) -> Path:
-    return written(emit_package(machine(**changes), selftest=False), folder)
+    return written(package_of(**changes), folder)
 
 
 def said(library: Path, header: Path, scratch: Path, tool: str, *flags: str) -> subprocess.CompletedProcess[str]:
     """What an application compiled with `header` hears from the package in `library`."""
     scratch.mkdir()
     (scratch / "application.c").write_text(APPLICATION)
-    run(tool, STRICT, "-c", library / "etel_xy.c", "-o", scratch / "package.o")
+    package = compile_object(tool, library / "etel_xy.c", STRICT)
     run(tool, STRICT, flags, f"-I{header}", "-c", scratch / "application.c", "-o", scratch / "application.o")
-    run(tool, scratch / "application.o", scratch / "package.o", "-o", scratch / "program")
+    run(tool, scratch / "application.o", package, "-o", scratch / "program")
     return subprocess.run([scratch / "program"], capture_output=True, text=True, check=False)
 
 

@@ -19,7 +19,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from c_packages import PRECISIONS, Array, compile_probe, elements, machine, pointer, scheme, written
+from c_packages import PRECISIONS, QUICK, Array, compile_probe, elements, machine, pointer, scheme, written
 from reference_cases import moving
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import replay_definitions
@@ -31,8 +31,6 @@ from sgms_mhe.signals.chain import signal_array
 from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import shared_library
 
-# Many small builds: most of their time is the compiler's.
-QUICK = ("-std=c99", "-O1", "-ffp-contract=off")
 ALL = ["stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity"]
 RIPPLE = [{"name": "force_ripple", "pitch_m": 0.001, "amplitude_N": 0.8, "phase_rad": 0.7}]
 

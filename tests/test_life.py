@@ -14,19 +14,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from c_packages import PROBES, elements, machine, written
+from c_packages import elements, machine, probed
 from sgms_bench.motions import simulated_log
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.bindings import BINDINGS
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, Start, Weights, run_ekf, run_mhe
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
 
 Array = NDArray[np.float64]
 
@@ -60,12 +58,9 @@ class Package:
     def __init__(self, settings: Machine, folder: Path) -> None:
         self.machine = settings
         self.model = build_model(settings)
-        name, sources = settings.name, []
-        package = written(emit_package(settings, selftest=False), folder)
-        sources = [package / f"{name}.c", PROBES / "estimator_probe.c"]
-        self.c = ctypes.CDLL(str(shared_library(sources, [package], [*DEFAULT_FLAGS, *replay_definitions(name)])))
+        name = settings.name
+        self.c = probed(settings, folder)
         self.real = ctypes.c_float if settings.code.precision == "single" else ctypes.c_double
-        self.c.probe_size.restype = ctypes.c_size_t
         number, memory = ctypes.c_double, ctypes.c_void_p
         self.c.probe_sample.restype, self.c.probe_sample.argtypes = number, [memory, number, number]
         n_x, n_p, real = self.model.n_x, self.model.n_p, self.real

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import itertools
-import json
 import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +17,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from c_packages import PRECISIONS, PROBES, STRICT, Array, machine, pointer, run, scheme, symbols, written
+from c_packages import (
+    PRECISIONS,
+    PROBES,
+    STRICT,
+    Array,
+    build,
+    compile_object,
+    machine,
+    package_of,
+    pointer,
+    probed,
+    run,
+    scheme,
+    symbols,
+    written,
+)
 from reference_cases import linear_model
 from sgms_bench import C_DIR
 from sgms_mhe.configuration import load_machine, override_machine
@@ -32,7 +46,6 @@ from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
-from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
 
 Tool = Callable[[str], str]
 
@@ -64,16 +77,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 
 
-@lru_cache(maxsize=64)
-def _package(changes: str) -> Package:
-    return emit_package(machine(**json.loads(changes)), selftest=False)
-
-
-def package_of(**changes: Any) -> Package:
-    """Package of etel_xy with changes, without self-test vectors; made once."""
-    return _package(json.dumps(changes, sort_keys=True))
-
-
 # --- bytes -------------------------------------------------------------------------------------------------------
 
 
@@ -83,7 +86,8 @@ def test_same_machine_same_bytes(tmp_path: Path) -> None:
         "import sys; from pathlib import Path; from sgms_mhe.configuration import load_machine, override_machine\n"
         "from sgms_mhe.emission.package import emit_package, write_package\n"
         "for single in (False, True):\n"
-        "    m = override_machine(load_machine('etel_xy'), {'code': {'precision': 'single' if single else 'double'}})\n"
+        "    m = override_machine(load_machine('etel_xy'), {'code': {'precision': 'single' if single else 'double'},\n"
+        "        'estimator': {'horizon': 5}})\n"
         "    write_package(emit_package(m), Path(sys.argv[1]) / str(single))\n"
     )
     elsewhere = {**os.environ, "PYTHONHASHSEED": "4711", "LANG": "C", "LC_ALL": "C", "TZ": "X4"}
@@ -92,9 +96,10 @@ def test_same_machine_same_bytes(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     for single in (False, True):
         precision = "single" if single else "double"
-        settings = override_machine(load_machine("etel_xy"), {"code": {"precision": precision}})
+        changes = {"code": {"precision": precision}, "estimator": {"horizon": 5}}
+        settings = override_machine(load_machine("etel_xy"), changes)
         here = emit_package(settings).files
-        assert here == emit_package(settings).files
+        assert emit_package(settings, selftest=False).files == emit_package(settings, selftest=False).files
         folder = tmp_path / str(single)
         assert sorted(here) == sorted(p.name for p in folder.iterdir())
         for file, text in here.items():
@@ -102,7 +107,7 @@ def test_same_machine_same_bytes(tmp_path: Path) -> None:
 
 
 def test_package_tells_where_it_comes_from_and_nothing_else(repo_root: Path) -> None:
-    package = emit_package(machine())
+    package = package_of(selftest=True)
     for file, text in package.files.items():
         assert str(repo_root) not in text and "/home/" not in text and "/tmp/" not in text, file
         assert not re.search(r"\b20\d\d-\d\d-\d\d\b", text), file
@@ -180,12 +185,12 @@ def test_helpers_of_the_host_without_a_warning(precision: str, require_tool: Too
 def test_harness_passes_the_self_test_of_its_package(
     precision: str, kind: str, require_tool: Tool, tmp_path: Path
 ) -> None:
-    folder = written(emit_package(machine(code={"precision": precision}, estimator={"kind": kind})), tmp_path)
+    package = package_of(selftest=True, code={"precision": precision}, estimator={"kind": kind})
+    folder = written(package, tmp_path)
     own = [f'-DSGMS_CONFIG_HEADER="{folder.name}_config.h"', "-DSGMS_SELFTEST"]
-    harness = tmp_path / "harness"
     sources = [folder / "etel_xy.c", folder / "etel_xy_selftest.c", C_DIR / "harness.c"]
-    files = [f"-I{folder}", *sources, "-o", harness, "-lm"]
-    run(require_tool("gcc"), STRICT, "-O1", replay_definitions("etel_xy"), own, files)
+    options = [*STRICT, "-O1", *replay_definitions("etel_xy"), *own, f"-I{folder}"]
+    harness = build(require_tool("gcc"), sources, tmp_path / "harness", options)
     assert "selftest passed" in run(harness, "--selftest")
     rows = run(harness, "--motion", "30").splitlines()
     assert len(rows) == 31 and all(np.isfinite([float(f) for f in row.split(",")]).all() for row in rows[1:])
@@ -266,12 +271,12 @@ def test_arithmetic_that_no_macro_tells_of_is_noticed(
 ) -> None:
     """By the handshake, the self-test and every update; nothing is fed forward, also where the signal is no number."""
     compiler, flags = NOT_SAID[title] if title else ("clang", [])
-    settings = machine(estimator={"horizon": 3}, code={"precision": precision})
-    folder = written(emit_package(settings), tmp_path)
-    command = [require_tool(compiler), "-std=c99", "-O2", *flags, f"-I{folder}", *replay_definitions("etel_xy")]
+    package = package_of(selftest=True, estimator={"horizon": 3}, code={"precision": precision})
+    folder = written(package, tmp_path)
+    options = ["-std=c99", "-O2", *flags, f"-I{folder}", *replay_definitions("etel_xy")]
     sources = [PROBES / "unsound.c", folder / "etel_xy.c", folder / "etel_xy_selftest.c"]
-    run(command, sources, "-o", tmp_path / "program")
-    check, selftest, first, update, after, fed = map(int, run(tmp_path / "program").split())
+    program = build(require_tool(compiler), sources, tmp_path / "program", options)
+    check, selftest, first, update, after, fed = map(int, run(program).split())
     if title is None:
         assert (check, selftest, first) == (0, 0, 1) and update >= 0 and after >= 0 and fed > 100
     else:
@@ -309,22 +314,12 @@ def test_library_is_asked_for_three_functions_of_memory_alone(
     folder = written(package_of(code={"precision": precision}), tmp_path)
     fpu = ["-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard"] if "arm" in compiler else []
     for level in ("-O1", "-O2", "-O3", "-Os"):
-        (made,) = objects(require_tool(compiler), folder, tmp_path, level, *fpu)
+        made = compile_object(require_tool(compiler), folder / "etel_xy.c", "-std=c99", level, fpu)
         foreign = {name for kind, name in symbols(made) if kind == "U" and not name.startswith("__")}
         assert foreign <= {"memcpy", "memmove", "memset"}, level
 
 
 # --- linking -----------------------------------------------------------------------------------------------------
-
-
-def objects(
-    compiler: str, folder: Path, target: Path, *flags: str, sources: Iterable[str] = ("etel_xy.c",)
-) -> list[Path]:
-    made = []
-    for source in sources:
-        made.append(target / f"{Path(source).stem}.o")
-        run(compiler, "-std=c99", flags, f"-I{folder}", "-c", folder / source, "-o", made[-1])
-    return made
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -334,7 +329,7 @@ def test_freestanding(compiler: str, level: str, precision: str, require_tool: T
     tool = require_tool(compiler)
     folder = written(package_of(code={"precision": precision}), tmp_path)
     free = ["-ffreestanding", "-fno-pie", "-fno-stack-protector", level]
-    (package,) = objects(tool, folder, tmp_path, *free)
+    package = compile_object(tool, folder / "etel_xy.c", "-std=c99", free)
     found = symbols(package)
     assert {name for kind, name in found if kind == "U"} <= {"memcpy", "memset"}
     assert not [(kind, name) for kind, name in found if kind in "BbDdCcGgSs"], "writable globals"
@@ -358,7 +353,7 @@ def test_freestanding(compiler: str, level: str, precision: str, require_tool: T
 def test_single_precision_has_no_double_arithmetic(variant: str, require_tool: Tool, tmp_path: Path) -> None:
     folder = written(package_of(**VARIANTS[variant], code={"precision": "single"}), tmp_path)
     cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffreestanding", "-O2"]
-    (package,) = objects(require_tool("arm-none-eabi-gcc"), folder, tmp_path, *cpu)
+    package = compile_object(require_tool("arm-none-eabi-gcc"), folder / "etel_xy.c", "-std=c99", cpu)
     needed = {name for kind, name in symbols(package) if kind == "U"}
     # The position is a 64-bit integer; nothing else needs help.
     assert needed <= {"memcpy", "memset", "__aeabi_l2f"}
@@ -370,10 +365,8 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
     """Double and single side by side, one of them twice: the numbers they give alone. The program as C and as C++."""
     other = {"name": "lower", "code": {"precision": "single"}, "estimator": {"horizon": 5, "kind": "mhe"}}
     packages = [written(package_of(), tmp_path), written(package_of(**other), tmp_path)]
-    made = [
-        *objects(require_tool("gcc"), packages[0], tmp_path, "-O2"),
-        *objects(require_tool("gcc"), packages[1], tmp_path, "-O2", sources=("lower.c",)),
-    ]
+    sources = packages[0] / "etel_xy.c", packages[1] / "lower.c"
+    made = [compile_object(require_tool("gcc"), source, "-std=c99", "-O2") for source in sources]
     tool = require_tool("g++" if language == "c++" else "gcc")
     dialect = ["-std=c++11", "-Wpedantic"] if language == "c++" else ["-std=c99", "-pedantic"]
     names = [
@@ -403,14 +396,8 @@ class Axis:
     def __init__(self, settings: Machine, folder: Path) -> None:
         self.machine = settings
         self.samples = settings.sampling.samples_per_update
-        package = written(emit_package(settings, selftest=False), folder)
-        name = settings.name
-        sources = [package / f"{name}.c", PROBES / "estimator_probe.c"]
-        if settings.estimator.relinearise != "all":
-            sources.append(PROBES / "whole_sweep.c")
-        self.c = ctypes.CDLL(str(shared_library(sources, [package], [*DEFAULT_FLAGS, *replay_definitions(name)])))
+        self.c = probed(settings, folder, *["whole_sweep.c"] * (settings.estimator.relinearise != "all"))
         number, memory = ctypes.c_double, ctypes.c_void_p
-        self.c.probe_size.restype = ctypes.c_size_t
         self.c.probe_status_text.restype = ctypes.c_char_p
         for function in (self.c.probe_tick, self.c.probe_sample):
             function.restype, function.argtypes = number, [memory, number, number]

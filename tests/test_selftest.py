@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from c_packages import PRECISIONS, STRICT, machine, run, symbols, written
+from c_packages import PRECISIONS, STRICT, build, package_of, run, symbols, written
 from sgms_bench.target.firmware import double_arithmetic
 from sgms_bench.target.stacks import call_paths
 from sgms_bench.verification.faults import FAULTS
@@ -28,15 +28,14 @@ MAIN = '#include "etel_xy.h"\nint main(void)\n{\n    return etel_xy_selftest();\
 @pytest.fixture(scope="module", params=PRECISIONS)
 def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A package with its self-test, one per precision."""
-    settings = machine(code={"precision": request.param})
-    return written(emit_package(settings), tmp_path_factory.mktemp(request.param))
+    return written(package_of(selftest=True, code={"precision": request.param}), tmp_path_factory.mktemp(request.param))
 
 
 def answer(tool: str, folder: Path, scratch: Path, *flags: str) -> int:
     """What etel_xy_selftest() returns."""
-    main, program = scratch / "main.c", scratch / "program"
+    main = scratch / "main.c"
     main.write_text(MAIN)
-    run(tool, flags, f"-I{folder}", main, sorted(folder.glob("*.c")), "-o", program)
+    program = build(tool, [main, *sorted(folder.glob("*.c"))], scratch / "program", flags, f"-I{folder}")
     return subprocess.run([program], check=False).returncode
 
 
@@ -204,7 +203,7 @@ CORES = [
 @pytest.mark.parametrize("target", CORES)
 def test_returns_0_on_the_target(target: Target, tmp_path: Path) -> None:
     """Linked without a library, run by the emulator, in single precision throughout; its exit code is the answer."""
-    linked = build_selftest(emit_package(machine(code={"precision": "single"})), target, tmp_path)
+    linked = build_selftest(package_of(selftest=True, code={"precision": "single"}), target, tmp_path)
     assert not double_arithmetic(target, tmp_path / "etel_xy_selftest.o")
     emulate(target, linked, tmp_path / "results.bin", lambda written: None)
 
@@ -212,7 +211,7 @@ def test_returns_0_on_the_target(target: Target, tmp_path: Path) -> None:
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_every_emitted_header_compiles_alone(compiler: str, precision: str, require_tool: Tool, tmp_path: Path) -> None:
-    folder = written(emit_package(machine(code={"precision": precision})), tmp_path)
+    folder = written(package_of(selftest=True, code={"precision": precision}), tmp_path)
     for header in sorted(folder.glob("etel_xy*.h")):
         source = tmp_path / "alone.c"
         source.write_text(f'#include "{header.name}"\nint main(void) {{ return 0; }}\n')

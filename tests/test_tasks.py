@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from c_packages import PROBES, STRICT, machine, run, written
+from c_packages import PROBES, STRICT, build, compile_object, machine, run, written
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import replay_definitions
 
@@ -33,10 +33,9 @@ def interrupted(
     kind, scratch = request.param, tmp_path_factory.mktemp("tasks")
     settings = machine(estimator={"horizon": 6, **ESTIMATORS[kind]})
     folder = written(emit_package(settings, selftest=False), scratch)
-    compile_c = [require_tool("gcc"), *STRICT, "-O1", f"-I{folder}", *replay_definitions("etel_xy")]
-    package, program = scratch / "package.o", scratch / "program"
-    run(compile_c, "-finstrument-functions", "-c", folder / "etel_xy.c", "-o", package)
-    run(compile_c, PROBES / "preemption.c", package, "-o", program)
+    gcc, options = require_tool("gcc"), [*STRICT, "-O1", f"-I{folder}", *replay_definitions("etel_xy")]
+    package = compile_object(gcc, folder / "etel_xy.c", options, "-finstrument-functions")
+    program = build(gcc, [PROBES / "preemption.c", package], scratch / "program", options)
 
     def counts(other: str) -> tuple[int, int, int, int]:
         came_in, refused, wrong, statuses = (int(word) for word in run(program, other).split())
@@ -97,9 +96,9 @@ def test_estimate_is_of_one_update_after_every_instruction(
     """Before a call or after it, in every bit: also where there is no solution and the window starts anew."""
     package = emit_package(machine(estimator={"horizon": 6, **ESTIMATORS[kind]}), selftest=False)
     folder = written(package, tmp_path)
-    program = tmp_path / "program"
-    compile_c = [require_tool("gcc"), "-std=gnu99", "-O2", f"-I{folder}", *replay_definitions("etel_xy")]
-    run(compile_c, PROBES / "single_steps.c", folder / "etel_xy.c", "-o", program)
+    options = ["-std=gnu99", "-O2", f"-I{folder}", *replay_definitions("etel_xy")]
+    sources = [PROBES / "single_steps.c", folder / "etel_xy.c"]
+    program = build(require_tool("gcc"), sources, tmp_path / "program", options)
     numeric, filling = -2, 1
     for call, status in (("feedback", None), ("numeric", numeric), ("reset", filling), ("hold", filling)):
         came_in, refused, wrong, before, after, updates, cause = map(int, run(program, call).split())
@@ -130,14 +129,12 @@ def threads(
     kind, scratch = request.param, tmp_path_factory.mktemp("threads")
     settings = machine(estimator={"horizon": 6, **ESTIMATORS[kind]})
     folder = written(emit_package(settings, selftest=False), scratch)
-    compile_c = [require_tool("gcc"), f"-I{folder}", *replay_definitions("etel_xy")]
+    gcc, options = require_tool("gcc"), [f"-I{folder}", *replay_definitions("etel_xy")]
 
     def compiled(both: Sequence[str], package: Sequence[str]) -> Path:
-        made, program = scratch / "package.o", scratch / "program"
-        run(compile_c, both, package, "-c", folder / "etel_xy.c", "-o", made)
+        made = compile_object(gcc, folder / "etel_xy.c", options, both, package)
         atomic = [flag for flag in package if flag == SHARED[0]]
-        run(compile_c, both, atomic, PROBES / "threads.c", made, "-pthread", "-o", program)
-        return program
+        return build(gcc, [PROBES / "threads.c", made], scratch / "program", options, both, atomic, "-pthread")
 
     return kind, compiled
 

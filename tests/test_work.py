@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from c_packages import PROBES, STRICT, Array, machine, run, scheme, written
+from c_packages import PROBES, STRICT, Array, build, compile_object, machine, run, scheme, written
 from package_variants import EFFECTS
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import replay_definitions
@@ -57,14 +57,14 @@ def test_what_comes_in_does_not_make_more_work(
     sampling = {**changes.get("sampling", {}), "max_velocity": MAX_VELOCITY}
     settings = machine(**{**changes, "sampling": sampling, "estimator": {"relinearise": relinearise, "horizon": 4}})
     folder = written(emit_package(settings, selftest=False), tmp_path)
-    compile_c = [require_tool("gcc"), *STRICT, "-O1", f"-I{folder}", *replay_definitions("etel_xy")]
-    run(compile_c, "-finstrument-functions", "-c", folder / "etel_xy.c", "-o", tmp_path / "package.o")
-    run(compile_c, PROBES / "work.c", tmp_path / "package.o", "-o", tmp_path / "program")
+    gcc, options = require_tool("gcc"), [*STRICT, "-O1", f"-I{folder}", *replay_definitions("etel_xy")]
+    made = compile_object(gcc, folder / "etel_xy.c", options, "-finstrument-functions")
+    program = build(gcc, [PROBES / "work.c", made], tmp_path / "program", options)
 
     def work(position: Array) -> Array:
         samples = tmp_path / "samples.bin"
         np.column_stack([position, np.full(len(position), 3.0)]).tofile(samples)
-        return np.array([int(line) for line in run(tmp_path / "program", samples).split()])
+        return np.array([int(line) for line in run(program, samples).split()])
 
     # Back and forth, up to max_velocity and a little below it, every element breaking away again and again.
     steps = np.concatenate([speed * np.sin(0.02 * np.arange(800)) for speed in (0.01, 0.5, 1.0, 1.0)]) * MAX_VELOCITY
