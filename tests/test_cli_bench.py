@@ -16,14 +16,16 @@ import pytest
 from cli_cases import SMALL, done
 from sgms_bench.benchmark.harness import build_harness, instructions_of
 from sgms_bench.benchmark.integration_errors import SampledMotion, emitted_errors
-from sgms_bench.benchmark.peers import PeerEvaluation, PeerExport
+from sgms_bench.benchmark.peers import KINDS, Kind, PeerEvaluation, PeerExport
 from sgms_bench.benchmark.running import Bench
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
+from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.reference import ReferenceIntegrator
 from sgms_mhe.reference.linearised import Linearised, Outputs
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS
 
@@ -226,6 +228,27 @@ def evaluated(export: PeerExport, recording: SampledMotion, folder: Path) -> Pee
     assert result.returncode == 0, result.stderr
     assert len(result.stdout.splitlines()) == len(recording.first)
     return export.evaluation(recording.windows, (folder / "results").read_bytes())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_peer_computes_the_residual_and_jacobian_of_the_reference(
+    kind: Kind, fixed_step: Machine, recording: SampledMotion, tmp_path: Path
+) -> None:
+    windows = recording.windows
+    found = evaluated(PeerExport(fixed_step, kind, windows.w.shape[1], 20), recording, tmp_path)
+    integrator = ReferenceIntegrator(build_model(fixed_step))
+    plan = integrator.plan(recording.signals)
+    assert plan.substeps.max() == 1
+    assert np.abs(found.A).max() > 0.1
+    assert np.abs(found.B).max() > 0.01
+    for i, first in enumerate(recording.first):
+        expected = integrator.intervals(plan, first, windows.x[i, :-1], windows.theta)
+        for name in ("x1", "A", "B"):
+            np.testing.assert_allclose(getattr(found, name)[i], getattr(expected, name), rtol=0, atol=1e-12)
+        outputs = integrator.outputs(windows.x[i], windows.w_node[i], windows.theta)
+        np.testing.assert_allclose(found.residual[i], outputs.y - windows.y[i], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.C[i], outputs.C, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.D[i], outputs.D, rtol=0, atol=1e-12)
 
 
 def test_peer_computes_what_the_emitted_code_does(
