@@ -8,9 +8,9 @@
  *
  *   tick()           11759
  *   sample()          3324   insert() too
- *   prepare()       239603   in units of at most 3645
+ *   prepare()       239622   in units of at most 3645
  *   feedback()       14245   after prepare()
- *   an update       572698   all calls of an interval
+ *   an update       572717   all calls of an interval
  */
 #ifndef ETEL_XY_CONFIG_H
 #define ETEL_XY_CONFIG_H
@@ -79,12 +79,12 @@ enum {
  * next: scalars side by side, padded. */
 #define LANE_STRIDE 4
 /* Scalars in one vector register of the processor, where compilers vectorise. */
-#if defined(__AVX__)
-#define VECTOR 4
-#elif SGMS_VECTORS
-#define VECTOR 2
-#else
+#if !SGMS_VECTORS
 #define VECTOR 1
+#elif defined(__AVX__)
+#define VECTOR 4
+#else
+#define VECTOR 2
 #endif
 
 /* Multiplications of a unit of work, and of all units in one sample. */
@@ -153,6 +153,8 @@ static const sgms_real inverse_initial_state[STATES] = {2.0, 2.0, 2.0, 2.0};
 /* How far an interval's end may move before it is linearised anew, over the state noise: its
  * inverse, squared, over the state noise. */
 #define INVERSE_MOVE 388.8888888888889       /*  */
+/* how much farther an older interval has to have moved than a newer one, squared */
+#define CLEARLY 1.0201
 static const sgms_chain chain = {
     {
         0.020083365564211236, /* b0 */

@@ -9,9 +9,9 @@
  *
  *   tick()           22046
  *   sample()         13611   insert() too
- *   prepare()       300823   in units of at most 13214
+ *   prepare()       300842   in units of at most 13214
  *   feedback()       14245   after prepare()
- *   an update       714938   all calls of an interval
+ *   an update       714957   all calls of an interval
  */
 #ifndef ETEL_XY_CONTROLLER_CONFIG_H
 #define ETEL_XY_CONTROLLER_CONFIG_H
@@ -82,12 +82,12 @@ enum {
  * next: scalars side by side, padded. */
 #define LANE_STRIDE 4
 /* Scalars in one vector register of the processor, where compilers vectorise. */
-#if defined(__AVX__)
-#define VECTOR 4
-#elif SGMS_VECTORS
+#if !SGMS_VECTORS
+#define VECTOR 1
+#elif defined(__AVX__)
 #define VECTOR 4
 #else
-#define VECTOR 1
+#define VECTOR 4
 #endif
 
 /* Multiplications of a unit of work, and of all units in one sample. */
@@ -157,6 +157,8 @@ static const sgms_real inverse_initial_state[STATES] = {2.0f, 2.0f, 2.0f, 2.0f};
 /* How far an interval's end may move before it is linearised anew, over the state noise: its
  * inverse, squared, over the state noise. */
 #define INVERSE_MOVE 388.8889f               /*  */
+/* how much farther an older interval has to have moved than a newer one, squared */
+#define CLEARLY 1.0201f
 /* Of each sample in the slope of the least-squares line through merged ones, which stand at the
  * middles of their times. */
 static const sgms_real slope_weight[MERGED] = {-0.5f, -0.25f, 0.0f, 0.25f, 0.5f};

@@ -10,12 +10,36 @@
 
 #include "etel_xy_switching_compensation.h"
 
-/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for nothing.
- * UNSOUND: none may be, numbers are not those that the code is written for. */
-enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID, UNSOUND };
+/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for
+ * nothing. */
+enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID };
 /* How the interval under way has started: not yet, anywhere, with the update of the one before,
  * whose samples are counted since. */
-enum { UNSTARTED, STARTED, UPDATED };
+enum { NOT_YET, STARTED, UPDATED };
+
+/* The mark of an axis that may not compute: numbers are not those that the code is written for. */
+#define UNSOUND (~ETEL_XY_SWITCHING_HEADER)
+
+/* True if etel_xy_switching_init() has set this memory up, for an axis that may compute. */
+static SGMS_INLINE bool is_started(const etel_xy_switching_t *self)
+{
+    return self->calls.mark == ETEL_XY_SWITCHING_HEADER;
+}
+
+/* Status of every call of an axis that is not. */
+static SGMS_COLD int refusal_of(const etel_xy_switching_t *self)
+{
+    return is_started(self) ? ETEL_XY_SWITCHING_OK
+        : (self->calls.mark == UNSOUND ? ETEL_XY_SWITCHING_ARITHMETIC
+        : ETEL_XY_SWITCHING_UNSTARTED);
+}
+
+static SGMS_COLD void clear(unsigned char *bytes, size_t size)
+{
+    for (size_t i = 0; i < size; i++) {
+        bytes[i] = 0;
+    }
+}
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
 {
@@ -314,7 +338,7 @@ static SGMS_COLD void start_window(
     etel_xy_switching_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->interval.filling = 0;
-    self->interval.started = UNSTARTED;
+    self->interval.started = NOT_YET;
     self->innovations.ratio_fast = 1.0;
     self->innovations.ratio_slow = 1.0;
     self->innovations.newest.innovation = 0.0;
@@ -355,19 +379,11 @@ static SGMS_COLD void state_status(etel_xy_switching_t *self, int status)
     end_writing(self);
 }
 
-/* Status of an axis that has had no update. */
-static int first_status(const etel_xy_switching_t *self)
-{
-    return self->calls.phase == UNSOUND ? ETEL_XY_SWITCHING_ARITHMETIC : ETEL_XY_SWITCHING_FILLING;
-}
-
 /* End the call under way: prepare() finds out. */
 static SGMS_COLD void abort_call(etel_xy_switching_t *self)
 {
     const uint32_t phase = self->calls.phase;
-    if (phase != UNSOUND) {
-        self->calls.phase = phase == PREPARING || phase == ABORTED ? ABORTED : IDLE;
-    }
+    self->calls.phase = phase == PREPARING || phase == ABORTED ? ABORTED : IDLE;
     SGMS_FENCE();
 }
 
@@ -383,7 +399,7 @@ static SGMS_COLD void start_signals(etel_xy_switching_t *self)
     fill(self->input.signal, 0.0, SIGNALS);
     self->interval.lost = 0;
     self->interval.net = 0.0;
-    state_status(self, first_status(self));
+    state_status(self, ETEL_XY_SWITCHING_FILLING);
     start_compensation(self);
 }
 
@@ -402,13 +418,14 @@ static sgms_unsigned sum_of(const etel_xy_switching_settings_t *settings)
 static SGMS_COLD void start_fresh(etel_xy_switching_t *self)
 {
     const sgms_real zero[STATES] = { 0 };
-    self->calls.phase = sgms_has_ieee_numbers() ? IDLE : UNSOUND;
+    self->calls.mark = sgms_has_ieee_numbers() ? ETEL_XY_SWITCHING_HEADER : UNSOUND;
+    self->calls.phase = IDLE;
     self->calls.version = 0;
     self->calls.age = 0;
     self->estimate.update = 0;
     self->estimate.numeric = 0;
     start_signals(self);
-    self->compensation.on = self->calls.phase != UNSOUND;
+    self->compensation.on = 1;
     fill(self->parameters.theta, 1.0, PARAMETERS);
     fill(self->window.series, 0.0, ETEL_XY_SWITCHING_SERIES_SIZE);
     fill(self->window.node, 0.0, SLOTS * STATES);
@@ -880,12 +897,14 @@ static sgms_real moved_most(const etel_xy_switching_t *self, int slot)
     return most;
 }
 
-/* Remember the interval that has moved most, if it has moved too far. */
+/* Remember the interval that has moved most, if it has moved too far. Intervals that were
+ * linearised at one time may move alike, and then rounding would choose: an older one has to have
+ * moved clearly farther than a newer one. */
 static void choose_interval(etel_xy_switching_t *self, int slot)
 {
     const sgms_real moved = moved_most(self, slot);
     if (moved > self->linearisation.moved) {
-        self->linearisation.moved = moved;
+        self->linearisation.moved = CLEARLY * moved;
         self->linearisation.slot = slot;
     }
 }
@@ -1054,10 +1073,15 @@ void etel_xy_switching_prepare(etel_xy_switching_t *self)
     self->calls.phase = self->calls.phase == PREPARING ? IDLE : INVALID;
 }
 
+/* True if the interval under way has all its steps; a number that is none ends it. */
+static SGMS_INLINE bool is_complete(const etel_xy_switching_t *self)
+{
+    return self->interval.step < 0 || self->interval.step >= STEPS;
+}
+
 int etel_xy_switching_due(const etel_xy_switching_t *self)
 {
-    /* a number of steps that is none ends the interval */
-    return self->interval.step < 0 || self->interval.step >= STEPS;
+    return is_started(self) && is_complete(self);
 }
 
 /* Parameters from the triangular factor, within their bounds. Returns the number of active
@@ -1249,10 +1273,10 @@ int etel_xy_switching_feedback(etel_xy_switching_t *self)
 {
     const uint32_t phase = self->calls.phase;
     int status;
-    if (phase == UNSOUND) {
-        return ETEL_XY_SWITCHING_ARITHMETIC;
+    if (!is_started(self)) {
+        return refusal_of(self);
     }
-    if (!etel_xy_switching_due(self)) {
+    if (!is_complete(self)) {
         return ETEL_XY_SWITCHING_EARLY;
     }
     if (phase != IDLE && phase != INVALID) {
@@ -1327,9 +1351,6 @@ static SGMS_INLINE void take_sample(
     const bool good = take_signals(self, signals) != 0;
     const bool measured = good && signals->valid && sgms_is_reading(signals->friction);
     const uint32_t age = self->calls.age;
-    if (self->calls.phase == UNSOUND) {
-        return;
-    }
     self->calls.age = age + (uint32_t)(age < UINT32_MAX);
     if (age % 128u == 0u) { /* as often as is needed */
         drop_rest(self);
@@ -1338,7 +1359,7 @@ static SGMS_INLINE void take_sample(
         start_series(self, measured, signals->friction);
         return;
     }
-    if (etel_xy_switching_due(self) != 0) {
+    if (is_complete(self)) {
         self->interval.lost = 1;
         return;
     }
@@ -1348,7 +1369,7 @@ static SGMS_INLINE void take_sample(
         self->interval.too_fast = 1;
     }
     extend_series(self);
-    if (etel_xy_switching_due(self) != 0) {
+    if (is_complete(self)) {
         self->interval.is_valid = measured ? 1 : 0;
         self->interval.friction = measured ? signals->friction : self->interval.friction;
     } else if (self->input.count == 0 && self->interval.step % SPACING == 0) {
@@ -1361,6 +1382,9 @@ static SGMS_INLINE void take_sample(
 etel_xy_switching_real etel_xy_switching_insert(
     etel_xy_switching_t *self, const etel_xy_switching_signals *signals)
 {
+    if (!is_started(self)) {
+        return 0.0;
+    }
     self->compensation.through_chain = 0;
     self->compensation.lag = 0.0;
     take_sample(self, signals);
@@ -1389,6 +1413,9 @@ static void take_reading(
 etel_xy_switching_real etel_xy_switching_sample(
     etel_xy_switching_t *self, etel_xy_switching_position position, etel_xy_switching_real force)
 {
+    if (!is_started(self)) {
+        return 0.0;
+    }
     take_reading(self, position, force);
     return fed_forward(self);
 }
@@ -1396,8 +1423,11 @@ etel_xy_switching_real etel_xy_switching_sample(
 etel_xy_switching_real etel_xy_switching_tick(
     etel_xy_switching_t *self, etel_xy_switching_position position, etel_xy_switching_real force)
 {
+    if (!is_started(self)) {
+        return 0.0;
+    }
     take_reading(self, position, force);
-    if (etel_xy_switching_due(self) != 0) {
+    if (is_complete(self)) {
         if (etel_xy_switching_feedback(self) == ETEL_XY_SWITCHING_OVERLAP) {
             /* estimate() says so, and the force ramps to zero */
             state_status(self, ETEL_XY_SWITCHING_OVERLAP);
@@ -1426,12 +1456,12 @@ void etel_xy_switching_ahead(
 
 void etel_xy_switching_compensate(etel_xy_switching_t *self, int on)
 {
-    self->compensation.on = on != 0 && self->calls.phase != UNSOUND;
+    self->compensation.on = on != 0;
 }
 
 etel_xy_switching_real etel_xy_switching_share(const etel_xy_switching_t *self)
 {
-    return self->compensation.gain;
+    return is_started(self) ? self->compensation.gain : 0.0;
 }
 
 void etel_xy_switching_estimate(
@@ -1439,6 +1469,11 @@ void etel_xy_switching_estimate(
 {
     const model_point at = { self->estimate.state, self->input.signal, self->estimate.theta };
     sgms_real root[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
+    if (!is_started(self)) {
+        clear((unsigned char *)estimate, sizeof *estimate);
+        estimate->status = refusal_of(self);
+        return;
+    }
     for (int attempt = 0; attempt < 3; attempt++) {
         const uint32_t version = self->calls.version;
         SGMS_FENCE();
@@ -1494,6 +1529,9 @@ const char *etel_xy_switching_status_text(int status)
     }
     if (status == ETEL_XY_SWITCHING_ARITHMETIC) {
         return "refused: this build or processor does not compute as needed";
+    }
+    if (status == ETEL_XY_SWITCHING_UNSTARTED) {
+        return "refused: init() has not set this axis up";
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
@@ -1600,11 +1638,14 @@ SGMS_COLD int etel_xy_switching_init_with(
     self->settings = *settings;
     self->settings_sum = sum_of(settings);
     start_fresh(self);
-    return ETEL_XY_SWITCHING_OK;
+    return refusal_of(self);
 }
 
 SGMS_COLD int etel_xy_switching_set_mass(etel_xy_switching_t *self, etel_xy_switching_real moved)
 {
+    if (!is_started(self)) {
+        return refusal_of(self);
+    }
     if (!(moved >= MASS / MASS_RANGE && moved <= MASS * MASS_RANGE)) {
         return ETEL_XY_SWITCHING_REFUSED;
     }
@@ -1617,7 +1658,7 @@ SGMS_COLD int etel_xy_switching_set_mass(etel_xy_switching_t *self, etel_xy_swit
 static SGMS_COLD void start_with(
     etel_xy_switching_t *self, int p, sgms_real theta, const sgms_real *square)
 {
-    const bool started = self->interval.started != UNSTARTED;
+    const bool started = self->interval.started != NOT_YET;
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real x[STATES];
     abort_call(self);
@@ -1634,13 +1675,13 @@ static SGMS_COLD void start_with(
     self->estimate.theta[p] = theta;
     fill(self->estimate.spread, 1.0, PARAMETERS);
     pack_root(square, self->estimate.root);
-    self->estimate.status = first_status(self);
+    self->estimate.status = ETEL_XY_SWITCHING_FILLING;
     end_writing(self);
     start_window(self, x, self->estimate.root);
     start_lasting(self);
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
-    self->interval.started = started ? STARTED : UNSTARTED;
+    self->interval.started = started ? STARTED : NOT_YET;
 }
 
 static void exchange(sgms_real *a, sgms_real *b)
@@ -1682,6 +1723,9 @@ static SGMS_COLD void set_theta(
 
 SGMS_COLD int etel_xy_switching_hold(etel_xy_switching_t *self, int parameter, int on)
 {
+    if (!is_started(self)) {
+        return refusal_of(self);
+    }
     if (parameter < 0 || parameter >= PARAMETERS) {
         return ETEL_XY_SWITCHING_REFUSED;
     }
@@ -1695,6 +1739,9 @@ SGMS_COLD int etel_xy_switching_set_parameter(etel_xy_switching_t *self, int par
 {
     sgms_real nominal[PARAMETERS], si[PARAMETERS], theta, sd;
     sgms_real whole[PARAMETERS];
+    if (!is_started(self)) {
+        return refusal_of(self);
+    }
     if (parameter < 0 || parameter >= PARAMETERS) {
         return ETEL_XY_SWITCHING_REFUSED;
     }
@@ -1726,6 +1773,10 @@ SGMS_COLD int etel_xy_switching_set_parameter(etel_xy_switching_t *self, int par
 SGMS_COLD int etel_xy_switching_save(
     const etel_xy_switching_t *self, etel_xy_switching_saved_t *saved)
 {
+    if (!is_started(self)) {
+        clear((unsigned char *)saved, sizeof *saved); /* which load() does not take */
+        return refusal_of(self);
+    }
     saved->format = ETEL_XY_SWITCHING_SAVED_FORMAT;
     saved->machine[0] = ETEL_XY_SWITCHING_SAVED_MACHINE_0;
     saved->machine[1] = ETEL_XY_SWITCHING_SAVED_MACHINE_1;
@@ -1770,6 +1821,9 @@ SGMS_COLD int etel_xy_switching_load(
 {
     const sgms_real zero[STATES] = { 0 };
     sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
+    if (!is_started(self)) {
+        return refusal_of(self);
+    }
     start_fresh(self);
     unpack_root(saved->root, square);
     sgms_variances(square, PARAMETERS, ROOT_WIDTH, variance, scratch);

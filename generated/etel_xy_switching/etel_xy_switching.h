@@ -12,9 +12,9 @@
  *
  *   tick()            8951
  *   sample()           516   insert() too
- *   prepare()        71903   in units of at most 3645
+ *   prepare()        71922   in units of at most 3645
  *   feedback()       14245   after prepare()
- *   an update       124198   all calls of an interval
+ *   an update       124217   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
@@ -82,7 +82,7 @@ typedef struct {
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9b1c2898b39d" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0x6605018eu
+#define ETEL_XY_SWITCHING_HEADER 0x217227e7u
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SWITCHING_SAVED_FORMAT 2u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9b1c2898u
@@ -117,7 +117,9 @@ enum {
      * machine's; of an update: settings in memory are not those of init */
     ETEL_XY_SWITCHING_REFUSED = -5,
     /* numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding */
-    ETEL_XY_SWITCHING_ARITHMETIC = -6
+    ETEL_XY_SWITCHING_ARITHMETIC = -6,
+    /* init() has not set this memory up: nothing is taken in, all numbers are 0 */
+    ETEL_XY_SWITCHING_UNSTARTED = -7
 };
 
 /* Signals of one sample for etel_xy_switching_insert(), from the controller's own chain. */
@@ -242,8 +244,10 @@ typedef struct {
         etel_xy_switching_real path, net;
         uint8_t moves[ETEL_XY_SWITCHING_SLOTS]; /* each counts as motion */
     } interval;
-    /* which call is under way; odd while the estimate is written; samples since an update */
+    /* ETEL_XY_SWITCHING_HEADER once the axis is set up; which call is under way; odd while the
+     * estimate is written; samples since an update */
     struct {
+        uint32_t mark;
         volatile uint32_t phase, version, age;
     } calls;
     etel_xy_switching_parameters parameters; /* of the last estimate */
@@ -378,20 +382,19 @@ static inline etel_xy_switching_position etel_xy_switching_position_from_wrapped
  * Call it before that. */
 int etel_xy_switching_check(size_t size, uint32_t header);
 
-/* Self-test (etel_xy_switching_selftest.c): two runs along a motion, by tick() and by two tasks,
- * against the estimates, deviations, statuses and forces of the reference solver; then what the
- * calls say of missing signals, lost intervals, damage and wrong settings. Returns 0 where this
- * processor and compiler agree; otherwise the number of the first update that differs
- * (etel_xy_switching_selftest.h: SELFTEST_UPDATES of the first run, SELFTEST_SECOND of the other
- * after them), or so many more as the check that fails: 1 save and load, 2 settings and reset, 3
- * missing signals, 4 mass and measured friction, 5 statuses, 6 limit of the force, 7 lost intervals
- * and overlaps, 8 damaged state, 9 the handshake, 10 numbers that are not those of IEEE 754, 11
- * functions and least squares within bounds. selftest() takes sizeof(etel_xy_switching_t) of stack;
- * selftest_with() the memory of an axis, to be set up anew after it. */
+/* Self-test (etel_xy_switching_selftest.c): runs along a motion, by tick(), by sample() and by
+ * insert(), against all that the reference solver comes to; then what each call says of missing
+ * signals, lost intervals, damage and wrong settings. Returns 0 where this processor and compiler
+ * agree; otherwise the number of the first update of the runs that differs, or so many more as the
+ * number of the sentence in etel_xy_switching_selftest.h that does not hold. selftest() takes
+ * sizeof(etel_xy_switching_t) of stack; selftest_with() the memory of an axis, to be set up anew
+ * after it. */
 int etel_xy_switching_selftest(void);
 int etel_xy_switching_selftest_with(etel_xy_switching_t *axis);
 
-/* Start: nominal parameters, empty window. */
+/* Start: nominal parameters, empty window. Memory that it has not set up, zeros or bytes that
+ * anything has left there, is no axis: every call returns 0 or status UNSTARTED, all numbers of an
+ * estimate are 0, and nothing saved is taken. */
 void etel_xy_switching_init(etel_xy_switching_t *self);
 
 /* The machine file's weights and bounds, to change some and hand over to init_with(). */

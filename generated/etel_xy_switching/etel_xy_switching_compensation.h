@@ -34,16 +34,17 @@ typedef struct {
 static void element_ahead_move(
     const course *c, int move, const sgms_real *term, const sgms_real *blocks, sgms_real *chi)
 {
-    const sgms_real distance = c->distance[move], direction = sgms_copy_sign(1.0, distance);
+    const sgms_real distance = c->distance[move];
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         sgms_real *const own = chi + block * ELEMENT_STATES;
         element_point at = element_at(term, 1, blocks + block);
         element_level level;
-        sgms_real moved;
+        sgms_real moved, direction;
         level = element_level_at(&at);
-        moved = own[0] + level.rho * distance;
-        own[0] =
-            distance != 0.0 && direction * moved > level.reach ? direction * level.reach : moved;
+        moved = level.rho * distance;
+        direction = sgms_sign(moved);
+        moved += own[0];
+        own[0] = direction * moved > level.reach ? direction * level.reach : moved;
     }
 }
 

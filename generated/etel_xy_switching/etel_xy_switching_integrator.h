@@ -135,27 +135,23 @@ static inline element_level element_level_at(const element_point *at)
     return level;
 }
 
-/* How far the lanes of a tile go [m], and which way: -1, 0 or 1. */
-typedef struct {
-    sgms_real travel[VECTOR], direction[VECTOR];
-} element_way;
-
-/* Move a tile of elements on their way, but no further in its direction than the level at `term`.
- * One that sticks keeps its derivatives, one that slips has those of the level. Against its
+/* Move a tile of elements by `travel` [m], but no further in their direction than the level at
+ * `term`. One that sticks keeps its derivatives, one that slips has those of the level. Against its
  * direction an element sticks, whatever its level has become. */
 static SGMS_INLINE void element_clip(
-    const element_way *way, const sgms_real *term, sgms_real *SGMS_RESTRICT block)
+    const sgms_real *travel, const sgms_real *term, sgms_real *SGMS_RESTRICT block)
 {
     SGMS_LANES for (int l = 0; l < VECTOR; l++) {
         const element_point at = element_at(term + l, LANE_STRIDE, block + l);
         const element_level level = element_level_at(&at);
-        const sgms_real moved = at.chi[0] + level.rho * way->travel[l];
-        const sgms_integer slips = sgms_less(level.reach, way->direction[l] * moved);
-        block[l] = sgms_select(slips, way->direction[l] * level.reach, moved);
+        const sgms_real move = level.rho * travel[l], moved = at.chi[0] + move,
+            direction = sgms_sign(move);
+        const sgms_integer slips = sgms_less(level.reach, direction * moved);
+        block[l] = sgms_select(slips, direction * level.reach, moved);
         block[ELEMENT_PHI * LANE_STRIDE + l] =
             sgms_select(slips, 0.0, block[ELEMENT_PHI * LANE_STRIDE + l]);
-        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] = sgms_select(slips, 0.0,
-            block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] + way->travel[l] * level.d_rho[0]);
+        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] = sgms_select(
+            slips, 0.0, block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] + travel[l] * level.d_rho[0]);
     }
 }
 
@@ -163,13 +159,12 @@ static SGMS_INLINE void element_clip(
 static void element_step(int rows, int lanes, const sgms_real *term, sgms_real *blocks)
 {
     for (int first = 0; first < lanes; first += VECTOR) {
-        element_way way;
+        sgms_real travel[VECTOR];
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
-            way.travel[l] = term[first + l] * PIECE_TIME;
-            way.direction[l] = sgms_sign(way.travel[l]);
+            travel[l] = term[first + l] * PIECE_TIME;
         }
         for (int row = 0; row < rows; row++) {
-            element_clip(&way, term + first, blocks + row * ELEMENT_SIZE * LANE_STRIDE + first);
+            element_clip(travel, term + first, blocks + row * ELEMENT_SIZE * LANE_STRIDE + first);
         }
     }
 }

@@ -10,12 +10,35 @@
 
 #include "toy_compensation.h"
 
-/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for nothing.
- * UNSOUND: none may be, numbers are not those that the code is written for. */
-enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID, UNSOUND };
+/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for
+ * nothing. */
+enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID };
 /* How the interval under way has started: not yet, anywhere, with the update of the one before,
  * whose samples are counted since. */
-enum { UNSTARTED, STARTED, UPDATED };
+enum { NOT_YET, STARTED, UPDATED };
+
+/* The mark of an axis that may not compute: numbers are not those that the code is written for. */
+#define UNSOUND (~TOY_HEADER)
+
+/* True if toy_init() has set this memory up, for an axis that may compute. */
+static SGMS_INLINE bool is_started(const toy_t *self)
+{
+    return self->calls.mark == TOY_HEADER;
+}
+
+/* Status of every call of an axis that is not. */
+static SGMS_COLD int refusal_of(const toy_t *self)
+{
+    return
+        is_started(self) ? TOY_OK : (self->calls.mark == UNSOUND ? TOY_ARITHMETIC : TOY_UNSTARTED);
+}
+
+static SGMS_COLD void clear(unsigned char *bytes, size_t size)
+{
+    for (size_t i = 0; i < size; i++) {
+        bytes[i] = 0;
+    }
+}
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
 {
@@ -280,7 +303,7 @@ static void start_interval(toy_t *self)
 static SGMS_COLD void start_window(toy_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->interval.filling = 0;
-    self->interval.started = UNSTARTED;
+    self->interval.started = NOT_YET;
     self->innovations.ratio_fast = 1.0;
     self->innovations.ratio_slow = 1.0;
     self->innovations.newest.innovation = 0.0;
@@ -318,19 +341,11 @@ static SGMS_COLD void state_status(toy_t *self, int status)
     end_writing(self);
 }
 
-/* Status of an axis that has had no update. */
-static int first_status(const toy_t *self)
-{
-    return self->calls.phase == UNSOUND ? TOY_ARITHMETIC : TOY_FILLING;
-}
-
 /* End the call under way: prepare() finds out. */
 static SGMS_COLD void abort_call(toy_t *self)
 {
     const uint32_t phase = self->calls.phase;
-    if (phase != UNSOUND) {
-        self->calls.phase = phase == PREPARING || phase == ABORTED ? ABORTED : IDLE;
-    }
+    self->calls.phase = phase == PREPARING || phase == ABORTED ? ABORTED : IDLE;
     SGMS_FENCE();
 }
 
@@ -346,7 +361,7 @@ static SGMS_COLD void start_signals(toy_t *self)
     fill(self->input.signal, 0.0, SIGNALS);
     self->interval.lost = 0;
     self->interval.net = 0.0;
-    state_status(self, first_status(self));
+    state_status(self, TOY_FILLING);
     start_compensation(self);
 }
 
@@ -365,13 +380,14 @@ static sgms_unsigned sum_of(const toy_settings_t *settings)
 static SGMS_COLD void start_fresh(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0 };
-    self->calls.phase = sgms_has_ieee_numbers() ? IDLE : UNSOUND;
+    self->calls.mark = sgms_has_ieee_numbers() ? TOY_HEADER : UNSOUND;
+    self->calls.phase = IDLE;
     self->calls.version = 0;
     self->calls.age = 0;
     self->estimate.update = 0;
     self->estimate.numeric = 0;
     start_signals(self);
-    self->compensation.on = self->calls.phase != UNSOUND;
+    self->compensation.on = 1;
     fill(self->parameters.theta, 1.0, PARAMETERS);
     fill(self->window.series, 0.0, TOY_SERIES_SIZE);
     fill(self->window.node, 0.0, SLOTS * STATES);
@@ -751,10 +767,15 @@ void toy_prepare(toy_t *self)
     self->calls.phase = self->calls.phase == PREPARING ? IDLE : INVALID;
 }
 
+/* True if the interval under way has all its steps; a number that is none ends it. */
+static SGMS_INLINE bool is_complete(const toy_t *self)
+{
+    return self->interval.step < 0 || self->interval.step >= STEPS;
+}
+
 int toy_due(const toy_t *self)
 {
-    /* a number of steps that is none ends the interval */
-    return self->interval.step < 0 || self->interval.step >= STEPS;
+    return is_started(self) && is_complete(self);
 }
 
 /* Parameters from the triangular factor, within their bounds. Returns the number of active
@@ -947,10 +968,10 @@ int toy_feedback(toy_t *self)
 {
     const uint32_t phase = self->calls.phase;
     int status;
-    if (phase == UNSOUND) {
-        return TOY_ARITHMETIC;
+    if (!is_started(self)) {
+        return refusal_of(self);
     }
-    if (!toy_due(self)) {
+    if (!is_complete(self)) {
         return TOY_EARLY;
     }
     if (phase != IDLE && phase != INVALID) {
@@ -1025,9 +1046,6 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
     const bool good = take_signals(self, signals) != 0;
     const bool measured = good && signals->valid && sgms_is_reading(signals->friction);
     const uint32_t age = self->calls.age;
-    if (self->calls.phase == UNSOUND) {
-        return;
-    }
     self->calls.age = age + (uint32_t)(age < UINT32_MAX);
     if (age % 128u == 0u) { /* as often as is needed */
         drop_rest(self);
@@ -1036,7 +1054,7 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
         start_series(self, measured, signals->friction);
         return;
     }
-    if (toy_due(self) != 0) {
+    if (is_complete(self)) {
         self->interval.lost = 1;
         return;
     }
@@ -1046,7 +1064,7 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
         self->interval.too_fast = 1;
     }
     extend_series(self);
-    if (toy_due(self) != 0) {
+    if (is_complete(self)) {
         self->interval.is_valid = measured ? 1 : 0;
         self->interval.friction = measured ? signals->friction : self->interval.friction;
     }
@@ -1054,6 +1072,9 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
 
 toy_real toy_insert(toy_t *self, const toy_signals *signals)
 {
+    if (!is_started(self)) {
+        return 0.0;
+    }
     self->compensation.through_chain = 0;
     self->compensation.lag = 0.0;
     take_sample(self, signals);
@@ -1080,14 +1101,20 @@ static void take_reading(toy_t *self, toy_position position, toy_real force)
 
 toy_real toy_sample(toy_t *self, toy_position position, toy_real force)
 {
+    if (!is_started(self)) {
+        return 0.0;
+    }
     take_reading(self, position, force);
     return fed_forward(self);
 }
 
 toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
 {
+    if (!is_started(self)) {
+        return 0.0;
+    }
     take_reading(self, position, force);
-    if (toy_due(self) != 0) {
+    if (is_complete(self)) {
         if (toy_feedback(self) == TOY_OVERLAP) {
             state_status(self, TOY_OVERLAP); /* estimate() says so, and the force ramps to zero */
         }
@@ -1114,18 +1141,23 @@ void toy_ahead(toy_t *self, toy_real velocity, toy_real acceleration)
 
 void toy_compensate(toy_t *self, int on)
 {
-    self->compensation.on = on != 0 && self->calls.phase != UNSOUND;
+    self->compensation.on = on != 0;
 }
 
 toy_real toy_share(const toy_t *self)
 {
-    return self->compensation.gain;
+    return is_started(self) ? self->compensation.gain : 0.0;
 }
 
 void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
 {
     const model_point at = { self->estimate.state, self->input.signal, self->estimate.theta };
     sgms_real root[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
+    if (!is_started(self)) {
+        clear((unsigned char *)estimate, sizeof *estimate);
+        estimate->status = refusal_of(self);
+        return;
+    }
     for (int attempt = 0; attempt < 3; attempt++) {
         const uint32_t version = self->calls.version;
         SGMS_FENCE();
@@ -1181,6 +1213,9 @@ const char *toy_status_text(int status)
     }
     if (status == TOY_ARITHMETIC) {
         return "refused: this build or processor does not compute as needed";
+    }
+    if (status == TOY_UNSTARTED) {
+        return "refused: init() has not set this axis up";
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
@@ -1286,11 +1321,14 @@ SGMS_COLD int toy_init_with(toy_t *self, const toy_settings_t *settings)
     self->settings = *settings;
     self->settings_sum = sum_of(settings);
     start_fresh(self);
-    return TOY_OK;
+    return refusal_of(self);
 }
 
 SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
 {
+    if (!is_started(self)) {
+        return refusal_of(self);
+    }
     if (!(moved >= MASS / MASS_RANGE && moved <= MASS * MASS_RANGE)) {
         return TOY_REFUSED;
     }
@@ -1302,7 +1340,7 @@ SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
 /* Start the window anew at the newest signals, with theta[p] and root `square`. */
 static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
 {
-    const bool started = self->interval.started != UNSTARTED;
+    const bool started = self->interval.started != NOT_YET;
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real x[STATES];
     abort_call(self);
@@ -1319,13 +1357,13 @@ static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms
     self->estimate.theta[p] = theta;
     fill(self->estimate.spread, 1.0, PARAMETERS);
     pack_root(square, self->estimate.root);
-    self->estimate.status = first_status(self);
+    self->estimate.status = TOY_FILLING;
     end_writing(self);
     start_window(self, x, self->estimate.root);
     start_lasting(self);
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
-    self->interval.started = started ? STARTED : UNSTARTED;
+    self->interval.started = started ? STARTED : NOT_YET;
 }
 
 static void exchange(sgms_real *a, sgms_real *b)
@@ -1366,6 +1404,9 @@ static SGMS_COLD void set_theta(toy_t *self, int p, sgms_real theta, sgms_real i
 
 SGMS_COLD int toy_hold(toy_t *self, int parameter, int on)
 {
+    if (!is_started(self)) {
+        return refusal_of(self);
+    }
     if (parameter < 0 || parameter >= PARAMETERS) {
         return TOY_REFUSED;
     }
@@ -1378,6 +1419,9 @@ SGMS_COLD int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_
 {
     sgms_real nominal[PARAMETERS], si[PARAMETERS], theta, sd;
     sgms_real whole[PARAMETERS];
+    if (!is_started(self)) {
+        return refusal_of(self);
+    }
     if (parameter < 0 || parameter >= PARAMETERS) {
         return TOY_REFUSED;
     }
@@ -1408,6 +1452,10 @@ SGMS_COLD int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_
 
 SGMS_COLD int toy_save(const toy_t *self, toy_saved_t *saved)
 {
+    if (!is_started(self)) {
+        clear((unsigned char *)saved, sizeof *saved); /* which load() does not take */
+        return refusal_of(self);
+    }
     saved->format = TOY_SAVED_FORMAT;
     saved->machine[0] = TOY_SAVED_MACHINE_0;
     saved->machine[1] = TOY_SAVED_MACHINE_1;
@@ -1449,6 +1497,9 @@ SGMS_COLD int toy_load(toy_t *self, const toy_saved_t *saved)
 {
     const sgms_real zero[STATES] = { 0 };
     sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
+    if (!is_started(self)) {
+        return refusal_of(self);
+    }
     start_fresh(self);
     unpack_root(saved->root, square);
     sgms_variances(square, PARAMETERS, ROOT_WIDTH, variance, scratch);

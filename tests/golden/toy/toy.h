@@ -78,7 +78,7 @@ typedef struct {
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "7f611f0cc49d" /* digest of the machine file */
-#define TOY_HEADER 0x0a560988u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0xbe1b4485u /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0x7f611f0cu
 #define TOY_SAVED_MACHINE_1 0xc49du
@@ -111,7 +111,9 @@ enum {
      * machine's; of an update: settings in memory are not those of init */
     TOY_REFUSED = -5,
     /* numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding */
-    TOY_ARITHMETIC = -6
+    TOY_ARITHMETIC = -6,
+    /* init() has not set this memory up: nothing is taken in, all numbers are 0 */
+    TOY_UNSTARTED = -7
 };
 
 /* Signals of one sample for toy_insert(), from the controller's own chain. */
@@ -225,8 +227,10 @@ typedef struct {
         toy_real path, net; /* m, of the newest; displacement since one counted as motion */
         uint8_t moves[TOY_SLOTS]; /* each counts as motion */
     } interval;
-    /* which call is under way; odd while the estimate is written; samples since an update */
+    /* TOY_HEADER once the axis is set up; which call is under way; odd while the estimate is
+     * written; samples since an update */
     struct {
+        uint32_t mark;
         volatile uint32_t phase, version, age;
     } calls;
     toy_parameters parameters; /* of the last estimate */
@@ -330,20 +334,18 @@ static inline toy_position toy_position_from_wrapped_counts(
  * that takes nothing in and feeds nothing forward. Call it before that. */
 int toy_check(size_t size, uint32_t header);
 
-/* Self-test (toy_selftest.c): two runs along a motion, by tick() and by two tasks, against the
- * estimates, deviations, statuses and forces of the reference solver; then what the calls say of
- * missing signals, lost intervals, damage and wrong settings. Returns 0 where this processor and
- * compiler agree; otherwise the number of the first update that differs (toy_selftest.h:
- * SELFTEST_UPDATES of the first run, SELFTEST_SECOND of the other after them), or so many more as
- * the check that fails: 1 save and load, 2 settings and reset, 3 missing signals, 4 mass and
- * measured friction, 5 statuses, 6 limit of the force, 7 lost intervals and overlaps, 8 damaged
- * state, 9 the handshake, 10 numbers that are not those of IEEE 754, 11 functions and least squares
- * within bounds. selftest() takes sizeof(toy_t) of stack; selftest_with() the memory of an axis, to
- * be set up anew after it. */
+/* Self-test (toy_selftest.c): runs along a motion, by tick(), by sample() and by insert(), against
+ * all that the reference solver comes to; then what each call says of missing signals, lost
+ * intervals, damage and wrong settings. Returns 0 where this processor and compiler agree;
+ * otherwise the number of the first update of the runs that differs, or so many more as the number
+ * of the sentence in toy_selftest.h that does not hold. selftest() takes sizeof(toy_t) of stack;
+ * selftest_with() the memory of an axis, to be set up anew after it. */
 int toy_selftest(void);
 int toy_selftest_with(toy_t *axis);
 
-/* Start: nominal parameters, empty window. */
+/* Start: nominal parameters, empty window. Memory that it has not set up, zeros or bytes that
+ * anything has left there, is no axis: every call returns 0 or status UNSTARTED, all numbers of an
+ * estimate are 0, and nothing saved is taken. */
 void toy_init(toy_t *self);
 
 /* The machine file's weights and bounds, to change some and hand over to init_with(). */

@@ -78,12 +78,12 @@ enum {
  * next: scalars side by side, padded. */
 #define LANE_STRIDE 4
 /* Scalars in one vector register of the processor, where compilers vectorise. */
-#if defined(__AVX__)
-#define VECTOR 4
-#elif SGMS_VECTORS
-#define VECTOR 2
-#else
+#if !SGMS_VECTORS
 #define VECTOR 1
+#elif defined(__AVX__)
+#define VECTOR 4
+#else
+#define VECTOR 2
 #endif
 
 /* Multiplications of a unit of work, and of all units in one sample. */

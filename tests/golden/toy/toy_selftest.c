@@ -3,8 +3,7 @@
  * Self-test of toy, apart from its estimator: a program that never calls it need not link the
  * vectors.
  *
- * Two runs along one motion against the reference solver, by tick() and by two tasks; then what the
- * calls have to say of sensors that fail, of lost intervals, of damaged memory, of settings. */
+ * What it holds, and by which function, is said in toy_selftest.h. */
 #include "toy.h"
 
 #include "toy_config.h"
@@ -16,16 +15,26 @@ typedef struct {
     int64_t position, velocity, friction; /* pm, pm per sample, SELFTEST_UNIT */
     int32_t segment, used;                /* the segment under way, its samples so far */
     int32_t sample;                       /* the next one */
+    toy_counter counter;           /* of the encoder, whose counts start over */
+    struct {                              /* signal chain of a caller of insert() */
+        sgms_position position[2];
+        sgms_real lowpass[SGMS_FILTER_STATES], last[SGMS_FILTER_LAST];
+        int32_t counts[SGMS_FILTER_COUNTS];
+    } chain;
 } motion;
+
+static void fill_bytes(unsigned char *bytes, size_t size, unsigned char value)
+{
+    for (size_t i = 0; i < size; i++) {
+        bytes[i] = value;
+    }
+}
 
 static void start_motion(motion *m)
 {
-    m->position = 0;
-    m->velocity = 0;
-    m->friction = 0;
-    m->segment = 0;
-    m->used = 0;
-    m->sample = 0;
+    fill_bytes((unsigned char *)m, sizeof *m, 0);
+    m->counter.picometres = 1;
+    m->counter.per = 1;
 }
 
 /* Not a number, of which no compiler knows. */
@@ -68,11 +77,12 @@ static void move_on(motion *m)
 }
 
 /* Signals of the sample under way, with the gap of the first runs. */
-static toy_position motion_position(const motion *m)
+static toy_position motion_position(motion *m)
 {
     const int32_t since = m->sample - SELFTEST_GAP;
     return since >= 0 && since < SELFTEST_MISSING ? no_position()
-        : toy_position_from_counts(m->position, 1, 1);
+                                                  : toy_position_from_wrapped_counts(
+                                                      &m->counter, (uint32_t)m->position, 31);
 }
 
 static sgms_real measured_force(const motion *m)
@@ -93,15 +103,27 @@ static int is_force(sgms_real force)
     return force - force == 0.0;
 }
 
-/* True if the axis's estimate, of update number `update`, is the reference's; so is the force,
- * where it is asked for. */
+/* True if no update is under way: parameters are those of the last estimate. */
+static int is_settled(const toy_t *axis)
+{
+    int good = axis->calls.phase == 0u && axis->calls.version % 2u == 0u;
+    for (int p = 0; p < PARAMETERS; p++) {
+        good = good && is_near(axis->parameters.theta[p], axis->estimate.theta[p], 0.0);
+    }
+    return good;
+}
+
+/* True if the axis's estimate, of update number `update`, is the reference's. */
 static int is_expected(const toy_t *axis, const sgms_real *expected, int status, int update)
 {
     toy_estimate_t e;
     toy_estimate(axis, &e);
-    int good = e.status == status && e.update == (uint32_t)update && e.age == 0u && e.numeric == 0;
+    int good = is_settled(axis) && e.status == status && e.update == (uint32_t)update &&
+        e.age == 0u && e.numeric == 0;
     good = good && is_near(e.friction, expected[SELFTEST_FRICTION],
         SELFTEST_TOLERANCE * SELFTEST_LARGEST);
+    good = good && is_near(e.friction_measured, expected[SELFTEST_MEASURED],
+        SELFTEST_COARSE * SELFTEST_LARGEST);
     good = good && is_near(e.innovation, expected[SELFTEST_INNOVATION],
         SELFTEST_COARSE * SELFTEST_LARGEST);
     good = good && is_near(e.test_ratio, expected[SELFTEST_RATIO],
@@ -122,65 +144,186 @@ static int is_expected(const toy_t *axis, const sgms_real *expected, int status,
     return good;
 }
 
-/* One task, with the machine file's settings. Number of the first update that differs; 0: none. */
-static int run_by_tick(toy_t *axis)
+/* The ways to call an axis: tick(); sample(), feedback() and prepare(); the same with insert(),
+ * behind a chain of the caller's. */
+enum { BY_TICK, BY_SAMPLE, BY_INSERT, WAYS };
+
+/* Take a sample in on one of them, and go on to the next. The force. */
+static sgms_real take(toy_t *axis, int way, motion *m, toy_position position, sgms_real force)
 {
-    motion m;
-    start_motion(&m);
-    toy_init(axis);
-    toy_compensate(axis, 1);
-    for (int update = 0; update <= SELFTEST_UPDATES; update++) {
-        sgms_real force = 0.0;
-        /* the first node is a sample of its own */
-        for (int k = update > 0 ? 0 : SAMPLES - 1; k < SAMPLES; k++) {
-            force = toy_tick(axis, motion_position(&m), measured_force(&m));
-            if (!is_force(force)) {
-                return update + 1;
-            }
-            move_on(&m);
-        }
-        if (update > 0) {
-            const sgms_real *const expected = selftest_first[update - 1];
-            if (!is_expected(axis, expected, (int)selftest_first_status[update - 1], update) ||
-                !is_near(force, expected[SELFTEST_FORCE], SELFTEST_AHEAD * SELFTEST_LARGEST)) {
-                return update;
-            }
-        }
+    move_on(m);
+    if (way == BY_TICK) {
+        return toy_tick(axis, position, force);
     }
-    return 0;
+    if (way == BY_SAMPLE) {
+        return toy_sample(axis, position, force);
+    }
+    const sgms_filter_memory memory =
+        { m->chain.position, m->chain.lowpass, m->chain.last, m->chain.counts, MASS };
+    const sgms_aligned from = sgms_filter_step(&chain, &memory, position.m, force);
+    const toy_signals signals = {
+        from.position, from.velocity, from.acceleration, from.force, from.friction, from.valid,
+            SELFTEST_LAG };
+    return toy_insert(axis, &signals);
 }
 
-/* Two tasks, with twice the noise and bounds that hold parameters. Number of the first update that
- * differs; 0: none. */
-static int run_by_tasks(toy_t *axis)
+/* Take the next sample of a run in; false where an update is due before it, the force is none, or
+ * another part of it is on than the ramp has brought. */
+static int take_next(toy_t *axis, int way, motion *m, sgms_real *force)
 {
-    motion m;
+    const int is_early = toy_due(axis) == 0 && toy_feedback(axis) == TOY_EARLY;
+    *force = take(axis, way, m, motion_position(m), measured_force(m));
+    return is_early && is_force(*force) &&
+           is_near(toy_share(axis), sgms_fmin(1.0, (sgms_real)m->sample * SELFTEST_RAMP),
+               SELFTEST_COARSE);
+}
+
+/* Start the second run: other noise of everything, bounds that hold parameters. */
+static int start_second(toy_t *axis)
+{
     toy_settings_t settings;
     toy_settings(&settings);
-    settings.measurement = 2.0 * settings.measurement;
+    settings.measurement *= 2.0;
+    for (int i = 0; i < STATES; i++) {
+        settings.state[i] *= 1.0 + SELFTEST_OTHER * (sgms_real)i;
+    }
     for (int p = 0; p < PARAMETERS; p++) {
+        settings.parameter[p] /= 1.0 + SELFTEST_OTHER * (sgms_real)p;
+        settings.drift[p] *= 1.0 + SELFTEST_OTHER * (sgms_real)p;
         settings.lower[p] = 1.0 - SELFTEST_BOUND;
         settings.upper[p] = 1.0 + SELFTEST_BOUND;
     }
-    start_motion(&m);
-    if (toy_init_with(axis, &settings) != TOY_OK) {
+    return toy_init_with(axis, &settings) == TOY_OK;
+}
+
+/* True if an axis is one of which nothing is known but its settings. */
+static int starts_nominal(const toy_t *axis)
+{
+    toy_saved_t saved;
+    int good = toy_save(axis, &saved) == TOY_OK && is_near(saved.ratio, 1.0, 0.0);
+    for (int p = 0, at = 0; p < PARAMETERS; at += PARAMETERS - p, p++) {
+        const sgms_real inverse = 1.0 / axis->settings.parameter[p];
+        good = good && is_near(saved.theta[p], 1.0, 0.0) &&
+            is_near(saved.root[at], inverse, SELFTEST_COARSE * inverse);
+        good = good && is_near(saved.spread[p], 1.0, 0.0);
+    }
+    return good;
+}
+
+/* What a window leaves that begins anew: mean test ratios, means that tell of errors of the model
+ * that stay. Other numbers, or true if they are as at the start. */
+static void spoil_means(toy_t *axis)
+{
+    axis->innovations.ratio_slow = 7.0;
+    axis->innovations.ratio_fast = 7.0;
+    axis->lasting.squares = 7.0;
+    axis->lasting.variance[PARAMETERS - 1] = 7.0;
+    axis->lasting.intervals = 7;
+}
+
+static int have_begun(const toy_t *axis)
+{
+    int good = is_near(axis->innovations.ratio_slow, 1.0, 0.0) &&
+        is_near(axis->innovations.ratio_fast, 1.0, 0.0);
+    good =
+        good && is_near(axis->lasting.squares, COLOUR_FIRST, 0.0) && axis->lasting.intervals == 0;
+    good = good && is_near(axis->lasting.variance[PARAMETERS - 1], 0.0, 0.0);
+    return good;
+}
+
+/* Put bytes that no call may read where it begins anew. */
+static void spoil_memory(toy_t *axis, int with_estimate)
+{
+    fill_bytes((unsigned char *)&axis->interval, sizeof axis->interval, 0x7f);
+    fill_bytes((unsigned char *)&axis->innovations, sizeof axis->innovations, 0x7f);
+    fill_bytes((unsigned char *)&axis->sweep, sizeof axis->sweep, 0x7f);
+    fill_bytes((unsigned char *)&axis->window, sizeof axis->window, 0x7f);
+    fill_bytes((unsigned char *)&axis->lasting, sizeof axis->lasting, 0x7f);
+    fill_bytes((unsigned char *)&axis->linearisation, sizeof axis->linearisation, 0x7f);
+    fill_bytes((unsigned char *)&axis->parameters, sizeof axis->parameters, 0x7f);
+    fill_bytes((unsigned char *)&axis->compensation, sizeof axis->compensation, 0x7f);
+    fill_bytes((unsigned char *)axis->chain.lowpass,
+        sizeof axis->chain.lowpass + sizeof axis->chain.last + sizeof axis->chain.counts, 0x7f);
+    if (with_estimate) {
+        fill_bytes((unsigned char *)&axis->estimate, sizeof axis->estimate, 0x7f);
+        fill_bytes((unsigned char *)&axis->input, sizeof axis->input, 0x7f);
+    }
+}
+
+/* Begin anew what has just begun: by reset(), or by load() of what a new axis saves. */
+static int begins_anew(toy_t *axis, int way)
+{
+    toy_saved_t saved;
+    if (way == BY_TICK) {
         return 1;
     }
-    (void)toy_sample(axis, motion_position(&m), measured_force(&m));
-    for (int update = 1; update <= SELFTEST_SECOND; update++) {
-        for (int k = 0; k < SAMPLES; k++) {
-            if (toy_due(axis) || toy_feedback(axis) != TOY_EARLY) {
-                return update;
-            }
-            move_on(&m);
-            (void)toy_sample(axis, motion_position(&m), measured_force(&m));
+    const int good = toy_save(axis, &saved) == TOY_OK;
+    spoil_memory(axis, way == BY_INSERT);
+    if (way == BY_INSERT) {
+        return toy_load(axis, &saved) == TOY_OK && good;
+    }
+    toy_reset(axis);
+    return good;
+}
+
+/* Set every parameter to what it is; the window starts anew, with the first node that the first
+ * sample has been. */
+static int sets_what_is(toy_t *axis, int way)
+{
+    toy_estimate_t e;
+    int good = 1;
+    toy_estimate(axis, &e);
+    for (int p = 0; p < PARAMETERS && way != BY_TICK; p++) {
+        axis->parameters.theta[p] = not_a_number();
+        axis->interval.net = 7.0;
+        spoil_means(axis);
+        if (way == BY_SAMPLE) {
+            good = toy_hold(axis, p, 1) == TOY_OK && toy_hold(axis, p, 0) == TOY_OK && good;
+        } else {
+            good = toy_set_parameter(axis, p, e.parameter[p], e.deviation[p]) == TOY_OK && good;
         }
-        if (!toy_due(axis) || toy_feedback(axis) != (int)selftest_second_status[update - 1]) {
-            return update;
+        good = have_begun(axis) && good;
+    }
+    return good;
+}
+
+/* The first run by tick(), the second one by another way. Number of the first update that differs;
+ * 0: none. */
+static int run_along(toy_t *axis, motion *m, int way)
+{
+    const int is_first = way == BY_TICK, updates = is_first ? SELFTEST_UPDATES : SELFTEST_SECOND;
+    sgms_real force;
+    int good, taken = 0;
+    start_motion(m);
+    fill_bytes((unsigned char *)axis, sizeof *axis, 0x7f);
+    toy_init(axis);
+    good = is_first || start_second(axis);
+    good = starts_nominal(axis) && begins_anew(axis, way) && starts_nominal(axis) && good;
+    toy_compensate(axis, 1);
+    good = take_next(axis, way, m, &force) && good; /* the first node is a sample of its own */
+    good = sets_what_is(axis, way) && good;
+    for (int update = 1; update <= updates; update++) {
+        const sgms_real *const expected =
+            is_first ? selftest_first[update - 1] : selftest_second[update - 1];
+        const int status = (int)(is_first ? selftest_first_status[update - 1]
+            : selftest_second_status[update - 1]);
+        const sgms_real *const forces = is_first ? selftest_first_force : way == BY_SAMPLE
+            ? selftest_second_force : selftest_second_inserted;
+        for (; taken < SAMPLES; taken++) {
+            good = take_next(axis, way, m, &force) && good;
         }
-        toy_prepare(axis);
-        if (!is_expected(
-            axis, selftest_second[update - 1], (int)selftest_second_status[update - 1], update)) {
+        if (!is_first) {
+            axis->lasting.intervals = LASTING_BLOCK - 1; /* the block ends here */
+            good = toy_due(axis) == 1 && toy_feedback(axis) == status && good;
+            toy_prepare(axis);
+        }
+        good = is_expected(axis, expected, status, update) && good;
+        taken = 0;
+        if (!is_first) { /* of which the next sample's force tells */
+            good = take_next(axis, way, m, &force) && good;
+            taken = 1;
+        }
+        if (!good || !is_near(force, forces[update - 1], SELFTEST_AHEAD * SELFTEST_LARGEST)) {
             return update;
         }
     }
@@ -262,14 +405,13 @@ static int solves_within_bounds(void)
     return good;
 }
 
-/* Ticks along the motion, without its gap. True if every force was good. */
-static int tick_along(toy_t *axis, motion *m, int samples)
+/* Samples along the motion, without its gap. True if every force was good. */
+static int go_along(toy_t *axis, int way, motion *m, int samples, sgms_real *force)
 {
     int good = 1;
     for (int k = 0; k < samples; k++) {
-        good = is_force(
-            toy_tick(axis, toy_position_from_counts(m->position, 1, 1), motion_force(m))) && good;
-        move_on(m);
+        *force = take(axis, way, m, toy_position_from_counts(m->position, 1, 1), motion_force(m));
+        good = is_force(*force) && good;
     }
     return good;
 }
@@ -344,8 +486,17 @@ static int keeps_what_was_learned(toy_t *axis, const toy_estimate_t *nominal)
 {
     toy_saved_t saved;
     toy_estimate_t learned, loaded;
-    int good = toy_save(axis, &saved) == TOY_OK;
+    uint32_t sum;
+    int good;
     toy_estimate(axis, &learned);
+    for (int p = 0; p < PARAMETERS; p++) { /* as an update has them that is under way */
+        axis->parameters.theta[p] = not_a_number();
+    }
+    good = toy_save(axis, &saved) == TOY_OK && saved.format == TOY_SAVED_FORMAT;
+    good =
+        good && saved.machine[0] == TOY_SAVED_MACHINE_0 && saved.machine[1] == TOY_SAVED_MACHINE_1;
+    good = good && is_near(saved.ratio, axis->innovations.ratio_slow, 0.0);
+    toy_estimate(axis, &loaded);
     good = refuses_flip(axis, &saved, nominal, offsetof(toy_saved_t, checksum)) && good;
     good = refuses_flip(axis, &saved, nominal, offsetof(toy_saved_t, format)) && good;
     good = refuses_flip(axis, &saved, nominal, offsetof(toy_saved_t, machine) + 4u) && good;
@@ -354,50 +505,61 @@ static int keeps_what_was_learned(toy_t *axis, const toy_estimate_t *nominal)
         good;
     good = refuses_flip(axis, &saved, nominal, offsetof(toy_saved_t, ratio)) && good;
     good = refuses_flip(axis, &saved, nominal, offsetof(toy_saved_t, spread)) && good;
-    {
-        toy_saved_t sealed = saved;
-        seal(&sealed);
-        good = sealed.checksum == saved.checksum && refuses_foreign(axis, &saved) && good;
+    sum = saved.checksum;
+    seal(&saved);
+    good = sum == saved.checksum && refuses_foreign(axis, &saved) && good;
+    for (int p = 0; p < PARAMETERS; p++) {
+        const sgms_real unit = nominal->deviation[p] / prior_sd[p],
+            theta = 1.0 + (learned.parameter[p] - nominal->parameter[p]) / unit;
+        good = good && is_near(loaded.parameter[p], learned.parameter[p], 0.0) &&
+            is_near(saved.theta[p], theta, SELFTEST_COARSE);
+        good = good && is_near(loaded.deviation[p], learned.deviation[p], 0.0);
+    }
+    for (int i = 0; i < ELEMENTS; i++) {
+        good = good && is_near(loaded.deflection[i], learned.deflection[i], 0.0);
     }
     good = toy_load(axis, &saved) == TOY_OK && good;
     toy_estimate(axis, &loaded);
     for (int p = 0; p < PARAMETERS; p++) {
-        const sgms_real unit = nominal->deviation[p] / prior_sd[p];
+        const sgms_real unit = nominal->deviation[p] / prior_sd[p],
+            prior = axis->settings.parameter[p], pause = axis->settings.pause[p];
         const sgms_real before = learned.deviation[p] / unit, after = loaded.deviation[p] / unit;
         /* without errors of the model that stay */
         const sgms_real root = before * before / saved.spread[p];
-        const sgms_real variance = sgms_fmin(before * before + pause_sd[p] * pause_sd[p],
-            sgms_fmax(prior_sd[p] * prior_sd[p], root));
+        const sgms_real variance =
+            sgms_fmin(before * before + pause * pause, sgms_fmax(prior * prior, root));
         good = good && is_near(loaded.parameter[p], learned.parameter[p], 0.0);
         good = good && is_near(after * after, variance, SELFTEST_COARSE * variance);
     }
-    return good && loaded.status == TOY_FILLING && loaded.update == 0u;
+    return good && is_settled(axis) && is_near(axis->innovations.ratio_slow, saved.ratio, 0.0) &&
+        loaded.status == TOY_FILLING && loaded.update == 0u;
 }
 
 /* A held parameter stays while others learn; a released one is as uncertain as at the start; a set
  * one is what it was set to. */
-static int obeys_settings(toy_t *axis, const toy_estimate_t *nominal)
+static int obeys_settings(toy_t *axis, motion *m, const toy_estimate_t *nominal)
 {
     const int p = PARAMETERS - 1;
     const sgms_real unit = nominal->deviation[p] / prior_sd[p];
     const sgms_real from = nominal->parameter[p];
     const sgms_real to = from + sgms_fmin(0.01, axis->settings.upper[p] - 1.0) * unit;
     toy_estimate_t e, before;
-    motion m;
+    sgms_real force;
     int good = toy_hold(axis, p, 1) == TOY_OK && toy_hold(axis, -1, 1) == TOY_REFUSED;
     good = good && toy_hold(axis, PARAMETERS, 1) == TOY_REFUSED;
     toy_estimate(axis, &e);
     good = good && is_near(e.deviation[p], HELD_SD * unit, 0.01 * HELD_SD * unit);
     {
         const sgms_real held = e.parameter[p];
-        start_motion(&m);
-        good = tick_along(axis, &m, SELFTEST_SPAN * SAMPLES + 1) && good;
+        start_motion(m);
+        good = go_along(axis, BY_TICK, m, SELFTEST_SPAN * SAMPLES + 1, &force) && good;
         toy_estimate(axis, &e);
         good = good && e.update > 0u && is_near(e.parameter[p], held, 1e-3 * unit);
     }
     good = toy_hold(axis, p, 0) == TOY_OK && good;
     toy_estimate(axis, &e);
-    good = good && is_near(e.deviation[p], prior_sd[p] * unit, SELFTEST_COARSE * unit);
+    good =
+        good && is_near(e.deviation[p], axis->settings.parameter[p] * unit, SELFTEST_COARSE * unit);
     if (axis->settings.upper[p] < 1e6) { /* a bound is within */
         good = toy_set_parameter(
             axis, p, from + (axis->settings.upper[p] - 1.0) * unit, 0.1 * unit) == TOY_OK && good;
@@ -422,7 +584,7 @@ static int obeys_settings(toy_t *axis, const toy_estimate_t *nominal)
             0.1 * unit) == TOY_REFUSED;
     }
     toy_estimate(axis, &e);
-    return good && is_near(e.parameter[p], to, SELFTEST_COARSE * unit);
+    return good && is_settled(axis) && is_near(e.parameter[p], to, SELFTEST_COARSE * unit);
 }
 
 /* After a reset the window is empty, and what was learned is there. */
@@ -430,14 +592,18 @@ static int keeps_over_reset(toy_t *axis)
 {
     toy_estimate_t before, after;
     toy_estimate(axis, &before);
+    for (int p = 0; p < PARAMETERS; p++) {
+        axis->parameters.theta[p] = not_a_number();
+    }
+    spoil_means(axis);
     toy_reset(axis);
     toy_estimate(axis, &after);
     int good = after.status == TOY_FILLING && !toy_due(axis) && axis->compensation.ahead_given == 0;
     for (int p = 0; p < PARAMETERS; p++) {
         good = good && is_near(after.parameter[p], before.parameter[p], 0.0);
         good = good && is_near(after.deviation[p], before.deviation[p], 0.0);
-        good = good && is_near(axis->parameters.theta[p], axis->estimate.theta[p], 0.0);
     }
+    good = is_settled(axis) && have_begun(axis) && good;
     axis->calls.phase = 1u; /* prepare() is under way: it has to find out */
     toy_reset(axis);
     good = good && axis->calls.phase == 3u;
@@ -471,21 +637,36 @@ static int refuses_settings(toy_t *axis)
     return good && is_near(axis->settings.measurement, MEASUREMENT_SD, 0.0);
 }
 
-/* An axis that has moved for a while, its force on. */
-static int start_moving(toy_t *axis, motion *m)
-{
-    toy_init(axis);
-    toy_compensate(axis, 1);
-    start_motion(m);
-    return tick_along(axis, m, SELFTEST_SPAN * SAMPLES + 1);
-}
-
 /* Status of the last update. */
 static int status_of(const toy_t *axis)
 {
     toy_estimate_t e;
     toy_estimate(axis, &e);
     return e.status;
+}
+
+/* An interval along the motion. Status of its update, or EARLY. */
+static int go_on(toy_t *axis, int way, motion *m, sgms_real *force)
+{
+    const int good = go_along(axis, way, m, SAMPLES, force);
+    const int status = way == BY_TICK ? status_of(axis) : toy_feedback(axis);
+    toy_prepare(axis);
+    return good && status == status_of(axis) ? status : TOY_EARLY;
+}
+
+/* An axis that has moved for a while, its force on. */
+static int start_moving(toy_t *axis, int way, motion *m)
+{
+    sgms_real force;
+    int good;
+    toy_init(axis);
+    toy_compensate(axis, 1);
+    start_motion(m);
+    good = go_along(axis, way, m, 1, &force);
+    for (int k = 0; k < SELFTEST_SPAN; k++) {
+        good = go_on(axis, way, m, &force) >= 0 && good;
+    }
+    return good;
 }
 
 /* True if the force is fading: off, or less than it was. */
@@ -497,11 +678,10 @@ static int is_fading(const toy_t *axis, sgms_real share, sgms_real force)
 
 /* Without positions measurements are missing and the force fades; without forces they are missing
  * alone. */
-static int notices_gap(toy_t *axis, toy_position position, sgms_real force, int fades)
+static int notices_gap(toy_t *axis, motion *m, toy_position position, sgms_real force, int fades)
 {
-    motion m;
     sgms_real share, fed = 0.0;
-    int good = start_moving(axis, &m);
+    int good = start_moving(axis, BY_TICK, m);
     share = toy_share(axis);
     good = good && share > 0.0 && (status_of(axis) & TOY_MISSING) == 0;
     for (int k = 0; k < SELFTEST_SPAN * SAMPLES; k++) {
@@ -510,18 +690,18 @@ static int notices_gap(toy_t *axis, toy_position position, sgms_real force, int 
     }
     good = good && (status_of(axis) & TOY_MISSING) != 0;
     good = good && (fades ? is_fading(axis, share, fed) : toy_share(axis) >= share);
-    good = tick_along(axis, &m, SELFTEST_SPAN * SAMPLES) && good;
+    good = go_along(axis, BY_TICK, m, SELFTEST_SPAN * SAMPLES, &fed) && good;
     return good && (status_of(axis) & TOY_MISSING) == 0 && toy_share(axis) > 0.0;
 }
 
-static int notices_gaps(toy_t *axis)
+static int notices_gaps(toy_t *axis, motion *m)
 {
     const toy_position at_zero = toy_position_from_counts(0, 1, 1);
     const toy_position far = toy_position_from_counts(5, 1, INT64_C(1000000000000000000));
-    int good = notices_gap(axis, no_position(), SELFTEST_LARGEST, 1);
-    good = notices_gap(axis, far, SELFTEST_LARGEST, 1) && good;
-    good = notices_gap(axis, at_zero, not_a_number(), 0) && good;
-    return notices_gap(axis, at_zero, 2e9, 0) && good;
+    int good = notices_gap(axis, m, no_position(), SELFTEST_LARGEST, 1);
+    good = notices_gap(axis, m, far, SELFTEST_LARGEST, 1) && good;
+    good = notices_gap(axis, m, at_zero, not_a_number(), 0) && good;
+    return notices_gap(axis, m, at_zero, 2e9, 0) && good;
 }
 
 /* The friction measured at constant acceleration and twice the mass is that of mechanics. */
@@ -566,12 +746,14 @@ static int has_texts(void)
         ] = { TOY_OK, TOY_FILLING, TOY_MISSING, TOY_HOLD, TOY_BOUND, TOY_SPEED,
                                       TOY_OVERRUN, TOY_DOUBT, TOY_STALE, TOY_EARLY, TOY_NUMERIC,
                                       TOY_OVERLAP,
-                                      TOY_MISMATCH, TOY_REFUSED, TOY_ARITHMETIC };
+                                      TOY_MISMATCH, TOY_REFUSED, TOY_ARITHMETIC, TOY_UNSTARTED };
     const int count = (int)(sizeof status / sizeof *status);
     int good = 1;
     for (int i = 0; i < count; i++) {
+        const char *const text = toy_status_text((int)status[i]);
+        good = good && text == toy_status_text((int)status[i]);
         for (int j = 0; j < i; j++) {
-            good = good && toy_status_text((int)status[i]) != toy_status_text((int)status[j]);
+            good = good && text != toy_status_text((int)status[j]);
         }
     }
     return good;
@@ -619,84 +801,66 @@ static int says_status(toy_t *axis)
 }
 
 /* The force turns off and on, and is within its limit at any set-point. */
-static int limits_force(toy_t *axis)
+static int limits_force(toy_t *axis, motion *m, int way)
 {
-    motion m;
     sgms_real share, force;
-    int good = start_moving(axis, &m);
+    int good = start_moving(axis, way, m);
     share = toy_share(axis);
-    for (int way = -1; way <= 1; way += 2) {
-        const sgms_real velocity = (sgms_real)way * sgms_fmax(SELFTEST_VELOCITY, MAX_VELOCITY);
-        toy_ahead(axis, velocity, 0.0);
-        force = toy_tick(axis, toy_position_from_counts(m.position, 1, 1), motion_force(&m));
-        good = is_force(force) && good;
+    for (int side = -1; side <= 1; side += 2) {
+        toy_ahead(axis, (sgms_real)side * sgms_fmax(SELFTEST_VELOCITY, MAX_VELOCITY), 0.0);
+        good = go_along(axis, way, m, 1, &force) && good;
     }
     toy_ahead(axis, not_a_number(), 0.0);
-    good = is_force(
-        toy_tick(axis, toy_position_from_counts(m.position, 1, 1), motion_force(&m))) && good;
+    good = go_along(axis, way, m, 1, &force) && good;
     share = toy_share(axis);
     toy_compensate(axis, 0);
-    force = toy_tick(axis, toy_position_from_counts(m.position, 1, 1), motion_force(&m));
-    good = good && is_fading(axis, share, force);
+    good = go_along(axis, way, m, 1, &force) && good && is_fading(axis, share, force);
     toy_init(axis);
     return good && is_near(toy_share(axis), 0.0, 0.0);
 }
 
-/* Samples of two tasks of which the slower one does not come. */
-static int sample_along(toy_t *axis, motion *m, int samples, sgms_real *force)
-{
-    int good = 1;
-    for (int k = 0; k < samples; k++) {
-        *force = toy_sample(axis, toy_position_from_counts(m->position, 1, 1), motion_force(m));
-        good = is_force(*force) && good;
-        move_on(m);
-    }
-    return good;
-}
-
 /* A lost interval: the estimate grows stale, the force fades, the next update says so, the one
  * after it does not. */
-static int notices_lost_interval(toy_t *axis)
+static int notices_lost_interval(toy_t *axis, motion *m, int way)
 {
-    motion m;
     toy_estimate_t e;
     sgms_real share, force = 0.0;
-    int status, good = start_moving(axis, &m);
+    int status, good = start_moving(axis, way, m);
     share = toy_share(axis);
-    good = sample_along(axis, &m, SAMPLES, &force) && good;
+    good = go_along(axis, way, m, SAMPLES, &force) && good;
     good = good && toy_due(axis) && status_of(axis) >= 0 && (status_of(axis) & TOY_STALE) == 0;
-    good = sample_along(axis, &m, SAMPLES + 1, &force) && good;
+    good = go_along(axis, way, m, SAMPLES + 1, &force) && good;
     toy_estimate(axis, &e);
     good = good && e.status >= 0 && (e.status & TOY_STALE) != 0 && e.age == 2u * SAMPLES + 1u;
     good = good && is_fading(axis, share, force);
     status = toy_feedback(axis);
     good = good && status >= 0 && (status & TOY_OVERRUN) != 0;
     good = good && !toy_due(axis) && toy_feedback(axis) == TOY_EARLY;
-    good = sample_along(axis, &m, SAMPLES, &force) && good;
+    share = toy_share(axis);
+    good = go_along(axis, way, m, SAMPLES, &force) && good && toy_share(axis) <= share;
     status = toy_feedback(axis);
     good = good && status >= 0 && (status & TOY_OVERRUN) == 0;
     share = toy_share(axis);
-    good = sample_along(axis, &m, 1, &force) && good;
+    good = go_along(axis, way, m, 1, &force) && good;
     good = good && (toy_share(axis) > share || is_near(toy_share(axis), 1.0, 0.0));
     toy_init(axis); /* the first interval says so too */
-    good = sample_along(axis, &m, SAMPLES + 2, &force) && good;
+    good = go_along(axis, way, m, SAMPLES + 2, &force) && good;
     status = toy_feedback(axis);
     return good && status >= 0 && (status & TOY_OVERRUN) != 0;
 }
 
 /* A call inside of another one, here as its marks have it, is refused and changes nothing. */
-static int refuses_overlap(toy_t *axis)
+static int refuses_overlap(toy_t *axis, motion *m)
 {
-    motion m;
     toy_saved_t saved;
     sgms_real share, force = 0.0;
-    int good = start_moving(axis, &m);
+    int good = start_moving(axis, BY_SAMPLE, m);
     const uint32_t update = axis->estimate.update;
-    good = sample_along(axis, &m, SAMPLES, &force) && good;
+    good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && good;
     axis->calls.phase = 1u; /* prepare() is under way */
     good = good && toy_feedback(axis) == TOY_OVERLAP && axis->estimate.update == update;
     share = toy_share(axis);
-    force = toy_tick(axis, toy_position_from_counts(m.position, 1, 1), motion_force(&m));
+    force = toy_tick(axis, toy_position_from_counts(m->position, 1, 1), motion_force(m));
     good = good && is_force(force) && status_of(axis) == TOY_OVERLAP && toy_share(axis) < share;
     axis->calls.phase = 0u;
     good = good && toy_feedback(axis) >= 0 && status_of(axis) >= 0;
@@ -722,60 +886,88 @@ static int refuses_damaged_settings(toy_t *axis)
 
 /* Damaged states give no estimate: the last good one stays, the force fades, and the next interval
  * is good. */
-static int survives_damage(toy_t *axis)
+static int survives_damage(toy_t *axis, motion *m, int way)
 {
-    motion m;
     toy_estimate_t before, after;
     sgms_real share, force = 0.0;
-    int good = start_moving(axis, &m);
+    int status, good = start_moving(axis, way, m);
     toy_estimate(axis, &before);
-    good = sample_along(axis, &m, SAMPLES, &force) && good;
+    good = go_along(axis, way, m, SAMPLES - 1, &force) && good;
     share = toy_share(axis);
-    good = refuses_damaged_settings(axis) && good;
     for (int i = 0; i < BLOCKS_SIZE; i++) {
         axis->interval.blocks[i] = not_a_number();
     }
-    good = good && toy_feedback(axis) == TOY_NUMERIC;
+    axis->parameters.theta[0] = not_a_number();
+    spoil_means(axis);
+    good = go_along(axis, way, m, 1, &force) && good;
+    if (way != BY_TICK) {
+        share = toy_share(axis);
+        good = refuses_damaged_settings(axis) && toy_feedback(axis) == TOY_NUMERIC && good;
+    }
     toy_estimate(axis, &after);
-    good =
-        good && after.status == TOY_NUMERIC && after.numeric != 0 && after.update == before.update;
-    good = good && is_near(after.friction, before.friction, 0.0);
+    good = good && is_settled(axis) && have_begun(axis) && after.status == TOY_NUMERIC &&
+        after.numeric == 7 && after.update == before.update && after.age == (uint32_t)SAMPLES;
     for (int p = 0; p < PARAMETERS; p++) {
         good = good && is_near(after.parameter[p], before.parameter[p], 0.0);
         good = good && is_near(after.deviation[p], before.deviation[p], 0.0);
     }
-    good = sample_along(axis, &m, 1, &force) && good && is_fading(axis, share, force);
-    good = sample_along(axis, &m, SAMPLES - 1, &force) && good;
-    return good && toy_feedback(axis) >= 0 && status_of(axis) >= 0;
+    good = go_along(axis, way, m, 1, &force) && good && is_fading(axis, share, force);
+    good = go_along(axis, way, m, SAMPLES - 1, &force) && good;
+    status = way == BY_TICK ? status_of(axis) : toy_feedback(axis);
+    return good && status >= 0 && status_of(axis) == status;
+}
+
+/* An axis that starts again without a solution, and then stands without a measurement, is where the
+ * last good estimate was. */
+static int starts_from_last(toy_t *axis, motion *m)
+{
+    const toy_signals none = { 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0 };
+    toy_estimate_t before, after;
+    sgms_real force;
+    int status, good = start_moving(axis, BY_SAMPLE, m);
+    toy_estimate(axis, &before);
+    good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && good;
+    axis->interval.blocks[0] = not_a_number();
+    good = toy_feedback(axis) == TOY_NUMERIC && good;
+    status = insert_interval(axis, &none, &force);
+    toy_estimate(axis, &after);
+    good = good && status >= 0 && (status & (TOY_MISSING + TOY_OVERRUN)) == TOY_MISSING;
+    for (int i = 0; i < ELEMENTS; i++) {
+        good = good && is_near(after.deflection[i], before.deflection[i],
+            SELFTEST_COARSE * SELFTEST_FARTHEST);
+    }
+    for (int p = 0; p < PARAMETERS; p++) {
+        good = good && is_near(after.parameter[p], before.parameter[p],
+            SELFTEST_COARSE * sgms_fabs(before.parameter[p]));
+    }
+    return good;
 }
 
 /* A count of the interval's samples that is another one is told by the next update, and by it
  * alone. */
-static int tells_miscounting(toy_t *axis)
+static int tells_miscounting(toy_t *axis, motion *m)
 {
-    motion m;
     sgms_real force = 0.0;
-    int status, good = start_moving(axis, &m);
+    int status, good = start_moving(axis, BY_SAMPLE, m);
     axis->interval.step += 1;
     for (int k = 0; k < SAMPLES && !toy_due(axis); k++) {
-        good = sample_along(axis, &m, 1, &force) && good;
+        good = go_along(axis, BY_SAMPLE, m, 1, &force) && good;
     }
     status = toy_feedback(axis);
     good = good && status >= 0 && (status & TOY_OVERRUN) != 0;
-    good = sample_along(axis, &m, SAMPLES, &force) && good;
+    good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && good;
     status = toy_feedback(axis);
     return good && status >= 0 && (status & TOY_OVERRUN) == 0;
 }
 
 /* An interval counts as motion from HOLD_PATH on, travelled or away from where one last did. */
-static int counts_motion(toy_t *axis)
+static int counts_motion(toy_t *axis, motion *m)
 {
-    motion m;
     sgms_real force = 0.0;
-    int good = start_moving(axis, &m);
+    int good = start_moving(axis, BY_SAMPLE, m);
     for (int k = 0; k < 4; k++) {
         const sgms_real part = k % 2 == 0 ? 1.0 : 0.5;
-        good = sample_along(axis, &m, SAMPLES, &force) && good;
+        good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && good;
         axis->interval.path = k < 2 ? part * HOLD_PATH : 0.0;
         axis->interval.net = k < 2 ? 0.0 : -part * HOLD_PATH;
         good = good && (toy_feedback(axis) & TOY_HOLD) == (k % 2 == 0 ? 0 : TOY_HOLD);
@@ -785,11 +977,10 @@ static int counts_motion(toy_t *axis)
 
 /* With any of the means another one that tell of errors of the model that stay, the factors on
  * variances are those last stated. */
-static int keeps_spread(toy_t *axis)
+static int keeps_spread(toy_t *axis, motion *m)
 {
-    motion m;
     sgms_real force = 0.0;
-    int good = start_moving(axis, &m);
+    int good = start_moving(axis, BY_SAMPLE, m);
     sgms_real *const mean[
         6] = { &axis->lasting.squares,  &axis->lasting.information, axis->lasting.theta,
                                  axis->lasting.variance, axis->lasting.moved,
@@ -799,7 +990,7 @@ static int keeps_spread(toy_t *axis)
             axis->estimate.spread[p] = 3.0 + (sgms_real)(k + p);
         }
         *mean[k] = *mean[k] * 16.0 + 1.0;
-        good = sample_along(axis, &m, SAMPLES, &force) && toy_feedback(axis) >= 0 && good;
+        good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && toy_feedback(axis) >= 0 && good;
         for (int p = 0; p < PARAMETERS; p++) {
             good = good && is_near(axis->estimate.spread[p], 3.0 + (sgms_real)(k + p), 0.0);
         }
@@ -807,26 +998,52 @@ static int keeps_spread(toy_t *axis)
     return good;
 }
 
-/* An axis that may not compute, here as its mark has it, takes nothing in, feeds nothing forward
- * and says so to the end. */
-static int refuses_arithmetic(toy_t *axis)
+/* True if a call says of an axis what it is, and feeds nothing forward. */
+static int refuses_all(toy_t *axis, int way, motion *m, int status)
 {
-    motion m;
-    int good = 1;
-    toy_init(axis);
-    start_motion(&m);
-    axis->calls.phase = 5u;
+    toy_estimate_t e;
+    toy_saved_t saved;
+    sgms_real force, largest = 0.0;
     toy_reset(axis);
     toy_compensate(axis, 1);
-    for (int k = 0; k <= SAMPLES; k++) {
-        const sgms_real force =
-            toy_tick(axis, toy_position_from_counts(m.position, 1, 1), motion_force(&m));
-        good = is_near(force, 0.0, 0.0) && good;
-        move_on(&m);
+    toy_ahead(axis, 0.5 * MAX_VELOCITY, 0.0);
+    toy_prepare(axis);
+    int good = go_along(axis, way, m, 1, &force) && is_near(force, 0.0, 0.0) &&
+        is_near(toy_share(axis), 0.0, 0.0);
+    good = good && toy_due(axis) == 0 && toy_feedback(axis) == status &&
+        toy_save(axis, &saved) == status;
+    good = good && toy_load(axis, &saved) == status && toy_set_mass(axis, MASS) == status;
+    good = good && toy_hold(axis, 0, 1) == status && toy_set_parameter(axis, 0, 1.0, 1.0) == status;
+    toy_estimate(axis, &e);
+    for (int i = 0; i < ELEMENTS; i++) {
+        largest = sgms_fmax(largest, sgms_fabs(e.deflection[i]));
     }
-    good = good && toy_feedback(axis) == TOY_ARITHMETIC && status_of(axis) == TOY_ARITHMETIC;
+    for (int p = 0; p < PARAMETERS; p++) {
+        largest =
+            sgms_fmax(largest, sgms_fmax(sgms_fabs(e.parameter[p]), sgms_fabs(e.deviation[p])));
+    }
+    largest += sgms_fabs(e.friction) + sgms_fabs(e.friction_measured) + sgms_fabs(e.innovation) +
+        sgms_fabs(e.test_ratio);
+    good = good && is_near(largest + sgms_fabs(e.noise_scale), 0.0, 0.0) && e.update == 0u &&
+        e.age == 0u && e.numeric == 0;
+    good = good && e.status == status;
     toy_init(axis);
-    return good && status_of(axis) == TOY_FILLING;
+    return good && status_of(axis) == TOY_FILLING && toy_load(axis, &saved) == TOY_REFUSED;
+}
+
+/* Memory that init() has not set up, or an axis that may not compute, here as its mark has it:
+ * takes nothing in, feeds nothing forward and says so to the end. */
+static int refuses_unstarted(toy_t *axis, motion *m, int way)
+{
+    static const unsigned char fill[6] = { 0x00, 0xff, 0x55, 0x40, 0x7f, 0x00 };
+    int good = 1;
+    for (int which = 0; which < 6; which++) {
+        good = start_moving(axis, way, m) && good;
+        fill_bytes((unsigned char *)axis, sizeof *axis, fill[which]);
+        axis->calls.mark = which == 5 ? ~TOY_HEADER : axis->calls.mark;
+        good = refuses_all(axis, way, m, which == 5 ? TOY_ARITHMETIC : TOY_UNSTARTED) && good;
+    }
+    return good;
 }
 
 /* The handshake: size and header. */
@@ -837,17 +1054,28 @@ static int checks_header(void)
         toy_check(sizeof(toy_t), TOY_HEADER ^ 1u) == TOY_MISMATCH;
 }
 
-/* Number of the first check after the runs that fails, 0 where none does; the axis is as the second
- * run has left it. */
-static int failed_check(toy_t *axis, const toy_estimate_t *nominal)
+/* Number of the first check on each of the ways that fails, 0 where none does. */
+static int failed_check(toy_t *axis, motion *m, int way)
 {
-    if (!keeps_what_was_learned(axis, nominal)) {
-        return 1;
+    if (!limits_force(axis, m, way)) {
+        return 6;
     }
-    if (!obeys_settings(axis, nominal) || !keeps_over_reset(axis) || !refuses_settings(axis)) {
+    if (way != BY_TICK && !notices_lost_interval(axis, m, way)) {
+        return 7;
+    }
+    if (!survives_damage(axis, m, way)) {
+        return 8;
+    }
+    return refuses_unstarted(axis, m, way) ? 0 : 10;
+}
+
+/* The same of the others; the axis is as the second run has left it. */
+static int failed_other(toy_t *axis, motion *m, const toy_estimate_t *nominal)
+{
+    if (!obeys_settings(axis, m, nominal) || !keeps_over_reset(axis) || !refuses_settings(axis)) {
         return 2;
     }
-    if (!notices_gaps(axis)) {
+    if (!notices_gaps(axis, m)) {
         return 3;
     }
     if (!measures_friction(axis)) {
@@ -856,44 +1084,45 @@ static int failed_check(toy_t *axis, const toy_estimate_t *nominal)
     if (!says_status(axis) || !has_texts()) {
         return 5;
     }
-    if (!limits_force(axis)) {
-        return 6;
-    }
-    if (!notices_lost_interval(axis) || !refuses_overlap(axis)) {
+    if (!refuses_overlap(axis, m)) {
         return 7;
     }
-    if (!survives_damage(axis) || !tells_miscounting(axis) || !counts_motion(axis) ||
-        !keeps_spread(axis)) {
+    if (!starts_from_last(axis, m) || !tells_miscounting(axis, m) || !counts_motion(axis, m) ||
+        !keeps_spread(axis, m)) {
         return 8;
     }
     if (!checks_header()) {
         return 9;
-    }
-    if (!refuses_arithmetic(axis)) {
-        return 10;
     }
     return computes_functions() && solves_within_bounds() ? 0 : 11;
 }
 
 int toy_selftest_with(toy_t *axis)
 {
+    enum { RUNS = SELFTEST_UPDATES + 2 * SELFTEST_SECOND };
     toy_estimate_t nominal;
+    motion m;
     int failed;
     if (toy_check(sizeof *axis, TOY_HEADER) == TOY_ARITHMETIC || !sgms_has_ieee_numbers()) {
-        return SELFTEST_UPDATES + SELFTEST_SECOND + 10;
+        return RUNS + 10;
     }
     toy_init(axis);
     toy_estimate(axis, &nominal);
-    failed = run_by_tick(axis);
-    if (failed > 0) {
-        return failed;
+    for (int way = BY_TICK; way < WAYS; way++) {
+        failed = run_along(axis, &m, way);
+        if (failed > 0) {
+            return failed + (way > BY_TICK ? SELFTEST_UPDATES : 0) +
+                (way > BY_SAMPLE ? SELFTEST_SECOND : 0);
+        }
+        if (!keeps_what_was_learned(axis, &nominal)) {
+            return RUNS + 1;
+        }
     }
-    failed = run_by_tasks(axis);
-    if (failed > 0) {
-        return SELFTEST_UPDATES + failed;
+    failed = failed_other(axis, &m, &nominal);
+    for (int way = BY_TICK; way < WAYS && failed == 0; way++) {
+        failed = failed_check(axis, &m, way);
     }
-    failed = failed_check(axis, &nominal);
-    return failed > 0 ? SELFTEST_UPDATES + SELFTEST_SECOND + failed : 0;
+    return failed > 0 ? RUNS + failed : 0;
 }
 
 int toy_selftest(void)
