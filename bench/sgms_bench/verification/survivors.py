@@ -76,6 +76,7 @@ SURVIVORS: Final[tuple[Gap, ...]] = (
     Gap(r"NAME_tick", r"phase == IDLE\) .*-> \(0\)$|is_complete\(self\)\) .*-> \(1\)$", WHEN),
     Gap(r"take_sample", r"drop_rest\(self\);|age % 128u", SMALL),
     Gap(r"start_with|start_again", r"window\.friction\[0\] = 0", OVERWRITTEN),
+    Gap(r"start_sweep", r"older_intervals\(self\) > 0\) .*-> \(1\)$", OVERWRITTEN),
     Gap(r"start_interval", r"fill\(self->input\.merged", OVERWRITTEN),
     Gap(r"start_lasting", r"fill\(self->lasting\.theta", OVERWRITTEN),
     Gap(r"start_signals", r"chain\.position\[[01]\] = 0", OVERWRITTEN),

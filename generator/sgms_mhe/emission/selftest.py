@@ -255,7 +255,7 @@ def _force_ahead(
     mean = lag_m / ahead.lag
     over = later * step
     w[[0, 4]] -= np.array([measured * over, over * np.ones(len(nodes))])
-    w[2] = 0.0
+    w[2], w[5:] = 0.0, 0.0
     moves = [(measured * over, over), (lag_m, ahead.lag)] if lags else [(measured * over, over)]
     if machine.sampling.merged > 1:  # samples that are in no step yet and the lag are one move
         moves = [(sum(distance for distance, _ in moves), sum(duration for _, duration in moves))]
