@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from sgms_mhe.evaluation.comparison import TOLERANCES
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model import Model, build_model
+from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
     CAUSE_NAMES,
@@ -637,3 +639,46 @@ def test_sizes_follow_the_machine() -> None:
     assert etel.of("deflection") == pytest.approx(0.83 * 4.0 / 7.9e3)
     phase = effect_definition("force_ripple").parameter("phase_rad")
     assert phase.estimation_scale(etel, 3.0) == phase.estimation_scale(etel, 0.0) == 0.1
+
+
+FACTORS = ("coulomb_factor", "viscous_factor", "micro_viscous", "level_force")
+
+
+@pytest.mark.parametrize("name", EFFECT_NAMES)
+def test_no_size_of_an_effect_takes_power_and_drives_the_axis(name: str) -> None:
+    """Of every size at its limits: what changes sign with the velocity brakes, and so does each way by itself."""
+    definition, scales = effect_definition(name), scales_of(load_machine("emps"))
+    axis = SymbolicAxis(1.0, 1.0, step=1e-4, gate_per_velocity=3.5e4)
+    axis.scope = name
+    nominal = definition.entries({p.name: p.default for p in definition.parameters})
+    symbols = {key: ca.SX.sym(key) for key in nominal}
+    definition.contribute(axis, symbols, nominal)
+    states = ca.vertcat(*(state.chi for state in axis.states)) if axis.states else ca.SX(0, 1)
+    found = ca.Function(
+        "found",
+        [axis.measured, ca.vertcat(*symbols.values()), states],
+        [axis.output + axis.load + axis.curve, ca.vertcat(*(getattr(axis, factor) for factor in FACTORS))],
+    )
+    speed, rest = 0.5 * scales.speed, np.zeros(len(axis.states))
+    for size in (p for p in definition.parameters if p.is_size and not p.array):
+        for end in (max(size.lower, -1e3 * scales.of(size.unit)), min(size.upper, 1e3 * scales.of(size.unit))):
+            values = nominal | {size.name: end}
+            if not definition.possible(values, scales):
+                continue
+            forth, back = (found([0.1, v, 0.0, 0.0, 1.0], list(values.values()), rest) for v in (speed, -speed))
+            assert float(forth[0]) - float(back[0]) >= -1e-9, (size.name, end)
+            assert np.min(np.array(forth[1])) >= 0.0 and np.min(np.array(back[1])) >= 0.0, (size.name, end)
+
+
+@pytest.mark.parametrize(("share", "possible"), [(0.9, True), (-0.9, True), (2.5, False), (-2.5, False)])
+def test_damping_of_each_direction_brakes(share: float, possible: bool) -> None:
+    scales = scales_of(load_machine("emps"))
+    largest = {"difference_N_s_m": share * max(scales.damping, scales.coulomb_over_speed)}
+    assert effect_definition("asymmetric_viscous").possible(largest, scales) == possible
+
+
+@pytest.mark.parametrize("name", ["quadratic_drag", "eddy_current_damping", "micro_viscous"])
+def test_a_file_of_a_drag_that_drives_is_refused(name: str) -> None:
+    size = effect_definition(name).main[0]
+    with pytest.raises(InputError, match=size):
+        override_machine(load_machine("etel_xy"), {"effects": [{"name": name, size: -1.0}]})

@@ -11,12 +11,18 @@ from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import Columns, one_size
 from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
     axis.add_force(p["difference_N_s_m"] * ca.fabs(axis.velocity))
+
+
+def _brakes_both_ways(p: Mapping[str, float], scales: Scales) -> bool:
+    """Return True if neither direction drives the axis, up to its largest speed."""
+    return abs(p["difference_N_s_m"]) <= scales.damping + scales.coulomb_over_speed
 
 
 DEFINITION = EffectDefinition(
@@ -36,6 +42,7 @@ DEFINITION = EffectDefinition(
     moves=("speeds",),
     search=Columns(lambda m, _: np.abs(m.velocity)[:, None], one_size("difference_N_s_m")),
     linear=True,
+    possible=_brakes_both_ways,
     companion=True,
     specimen=one_number(
         "difference_N_s_m",

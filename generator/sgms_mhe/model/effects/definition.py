@@ -81,7 +81,8 @@ class EffectDefinition(CauseDefinition):
         fault: the first number of a machine file that does not go with the others, each within its own limits.
         learned: whether its numbers are a table that a diagnosis learns at once: no cause, it is neither searched nor
             fitted.
-        possible: whether an axis of these scales can have it with these parameters (by name, SI), beyond their limits.
+        possible: whether an axis of these scales can have it with these parameters (by name, SI), beyond their limits:
+            what takes power from a motion has no size, within both, that drives one.
         delays: the parameter by which it makes all of the logged force late [s], if that is what it does: a diagnosis
             shifts the model's force along the record, exactly, where an estimator can but expand it.
         adds_mass: the parameter, if any, that is the true mass minus the machine file's, where it is nothing else.

@@ -30,7 +30,7 @@ DEFINITION = EffectDefinition(
     name="eddy_current_damping",
     summary="damping by eddy currents, falling off with speed",
     parameters=(
-        EffectParameter("damping_N_s_m", 0.0, 0.5, "damping at low speed", unit="damping"),
+        EffectParameter("damping_N_s_m", 0.0, 0.5, "damping at low speed", lower=0.0, unit="damping"),
         EffectParameter(
             "corner_velocity_m_s",
             0.5,

@@ -23,7 +23,9 @@ DEFINITION = EffectDefinition(
     name="micro_viscous",
     summary="damping of the elements below break-away",
     parameters=(
-        EffectParameter("damping_N_s_m", 0.0, 1.0, "sum of sigma_i beyond the machine file's", unit="damping"),
+        EffectParameter(
+            "damping_N_s_m", 0.0, 1.0, "sum of sigma_i beyond the machine file's", lower=0.0, unit="damping"
+        ),
     ),
     contribute=_contribute,
     excitation=Excitation(

@@ -22,7 +22,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, floa
 DEFINITION = EffectDefinition(
     name="quadratic_drag",
     summary="drag proportional to speed squared",
-    parameters=(EffectParameter("coefficient_N_s2_m2", 0.0, 0.1, "force over v |v|", unit="coulomb"),),
+    parameters=(EffectParameter("coefficient_N_s2_m2", 0.0, 0.1, "force over v |v|", lower=0.0, unit="coulomb"),),
     contribute=_contribute,
     over_speed=True,
     excitation=Excitation(
@@ -39,6 +39,7 @@ DEFINITION = EffectDefinition(
     specimen=one_number(
         "coefficient_N_s2_m2",
         lambda scene: scene.scales.coulomb / scene.speed**2,
+        signed=False,
         concealed=Concealed(
             "presliding",
             lambda scales: {"coefficient_N_s2_m2": scales.coulomb_over_speed / scales.speed},
