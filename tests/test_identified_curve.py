@@ -24,8 +24,9 @@ from sgms_mhe import read_log
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.identification import Identification, Wanted, identify
+from sgms_mhe.identification.companions import is_possible
 from sgms_mhe.identification.description import effect_numbers
-from sgms_mhe.identification.final_fit import FinalIdentification, is_possible
+from sgms_mhe.identification.final_fit import FinalIdentification
 from sgms_mhe.identification.fits import AxisFit, covariance, quantities
 from sgms_mhe.identification.identify import explore
 from sgms_mhe.identification.terms import Term
@@ -156,14 +157,14 @@ def make_fit(coulomb: float, sizes: Array) -> AxisFit:
 def test_a_curve_that_drives_the_axis_is_none(lowest: float, possible: bool) -> None:
     """It may take away no more than the level, 2 N."""
     fit = make_fit(2.0, np.array([1.0, 0.5, lowest, 0.5]))
-    assert is_possible(machine(), fit, fit.terms[0]) == possible
+    assert is_possible(machine(), fit) == possible
 
 
 def test_an_entry_of_nothing_is_as_sure_as_the_largest_of_its_list() -> None:
     """The force at a knot may be 0: a deviation over that says nothing."""
     fit = make_fit(2.0, np.array([4.0, 0.0, 0.3, 0.2]))
     cov = np.diag([0.0, 0.0, 0.01, 0.01, 0.01, 0.01])
-    final = FinalIdentification(fit, cov, {}, None, math.nan, None)  # type: ignore[arg-type]
+    final = FinalIdentification(fit, cov, {}, None, math.nan, math.nan, None)  # type: ignore[arg-type]
     found = {n.name.removeprefix("friction_curve."): n for n in effect_numbers(final)}
     assert found["forward_2_N"].value == 0.0 and found["forward_2_N"].std == pytest.approx(0.1)
     assert found["forward_1_N"].determined and found["forward_2_N"].determined

@@ -115,6 +115,8 @@ def _text(found: Identification, residuals: Sequence[MachineResidual], names: Se
         f"law: {found.law}{'' if found.law_decided else ' (default)'}",
         f"held-out residual: {found.held_out_rms_N:.3g} {units.force} of {found.friction_rms_N:.3g} {units.force} rms; "
         f"noise floor {found.noise_floor_N:.3g} {units.force}",
+        f"without errors of timing: {found.stated_rms_N:.3g} {units.force}; least squares alone: "
+        f"{found.plain_rms_N:.3g} {units.force}{', which is what is written' if found.is_plain else ''}",
     ]
     lines += [
         f"{residual.describe(units)}, of the file along {name}" for residual, name in zip(residuals, names, strict=True)

@@ -18,14 +18,17 @@ from sgms_mhe.identification.terms import (
     OF_RECORD,
     KnownFriction,
     Term,
+    effect_parameters,
     is_level,
     is_within_limits,
     level_terms,
     place_curve,
     transmitted_force,
 )
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition, separating_moves
 from sgms_mhe.model.effects.search import Harmonic
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
 
@@ -37,7 +40,8 @@ def add_companions(
 ) -> tuple[AxisFit, dict[str, tuple[str, ...]]]:
     """Return the fit with the effects that it gains by, the best first; of two that gain alike that of fewer sizes.
 
-    An effect that has the best one as a limit, and would show itself in the motion, is no rival where it gains no more.
+    An effect of more sizes that has the best one as a limit, and would show itself in the motion, is no rival where it
+    gains no more.
 
     Every one begins from the shape of the fit with all of them: elements that had to stand for gravity are none to
     begin from. An effect that the motion does not excite counts beside a simpler one that it does: over a short way it
@@ -49,6 +53,7 @@ def add_companions(
     """
     left = [term for term in companions if term.name in excited or _has_limit(term.name, excited)]
     left += fit_record_terms(views, whole)
+    machine = views.fine.rows.machine
     lined, base = align(views, whole), [term for term in base if term.name not in OF_RECORD]
     fit = fit_axis(lined, base, whole.shape, iterations=CHOICE_ITERATIONS)
     rivals: dict[str, tuple[str, ...]] = {}
@@ -61,7 +66,7 @@ def add_companions(
             term.name: fit_axis(lined, (*fit.terms, term), whole.shape, iterations=CHOICE_ITERATIONS)
             for term in sorted((*left, *level), key=lambda term: term.columns.shape[1])
         }
-        better = [name for name, other in tried.items() if is_better(other, fit) and _is_statable(other)]
+        better = [name for name, other in tried.items() if is_better(other, fit) and is_possible(machine, other)]
         bends = {name: bend(lined, tried[name]) for name in better}
         better = [name for name in better if bends[name] <= 1.0]
         log_decision(
@@ -87,7 +92,11 @@ def add_companions(
             if other not in (best, *OF_RECORD)
             and separating_moves(best, other)
             and not is_better(fit, tried[other])
-            and not (other in excited and best in effect_definition(other).simpler.causes)
+            and not (
+                other in excited
+                and best in effect_definition(other).simpler.causes
+                and len(tried[other].coefficients) > len(tried[best].coefficients)
+            )
         )
         if effect_definition(best).elastic and bends[best] > 0.0:
             rivals[best] += _ripples(best)
@@ -134,9 +143,17 @@ def _ripples(name: str) -> tuple[str, ...]:
     )
 
 
-def _is_statable(fit: AxisFit) -> bool:
-    """Return True if no effect of a fit is beyond what a machine file may state: then it stands for something else."""
-    return all(is_within_limits(term, fit.coefficient(term.name)) for term in fit.terms)
+def is_possible(machine: Machine, fit: AxisFit) -> bool:
+    """Return True if a machine file may state every effect of a fit, and an axis of its friction can have it.
+
+    Else it stands for something else: it would drive the axis, say.
+    """
+    scales = replace(scales_of(machine), coulomb=fit.coulomb, damping=float(fit.coefficient("viscous").sum()))
+    found = [(term, fit.coefficient(term.name)) for term in fit.terms if term.name not in LAW_AND_SAMPLING]
+    return all(
+        is_within_limits(term, sizes) and effect_definition(term.name).possible(effect_parameters(term, sizes), scales)
+        for term, sizes in found
+    )
 
 
 def _has_limit(name: str, excited: Collection[str]) -> bool:

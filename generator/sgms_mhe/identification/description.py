@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE
 from sgms_mhe.identification.final_fit import FinalIdentification, is_apart, late_force
@@ -16,8 +17,9 @@ from sgms_mhe.identification.fits import (
     NumberEstimate,
     RecordView,
     Shape,
-    distance_limits,
+    find_resolved_distance,
     fit_axis,
+    hold_shape,
 )
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import ChosenModel, is_better
@@ -30,9 +32,9 @@ from sgms_mhe.support.numbers import interval
 
 KNOWN: Final = 0.25
 """Deviation over value up to which a number counts as determined."""
+UNTOLD: Final = 10.0
+"""Two deviations over the distance to a number's only limit from which on not even its order is known."""
 ROUNDING: Final = 1e-12
-NEXT_TO_NOTHING: Final = 1.01
-"""Of the smallest break-away distance that the log tells: no larger, and it is none."""
 RISE_SURE: Final = 2.0
 """Standard deviations above its value that a Stribeck velocity may have."""
 STAND_IN: Final = "not determined: a stand-in"
@@ -76,7 +78,7 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
     fit = final.fit
     beside = [term for term in fit.terms if not is_level(term)]
     bare = fit_axis(view, beside, Shape(fit.shape.law, fit.shape.distances[:0], None), iterations=0)
-    if not (fit.coulomb > 0.0 and is_better(fit, bare)):
+    if not (fit.coulomb > 0.0 and is_better(hold_shape(view, fit), bare)):
         raise frictionless_error(source)
     travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position
     slides = fit.shape.distances <= SLID * travel
@@ -92,7 +94,7 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
     for number in stiffness:
         elastic += 0.5 * travel * max(0.0, number.value - SURE * number.std)
     if elastic > OPEN_LEVEL * (elastic + sliding):
-        raise InputError(
+        refusal = FrictionError(
             source,
             "motion",
             f"{travel:.3g} {length} of travel, {100.0 * elastic / (elastic + sliding):.0f} % of the friction a spring "
@@ -100,11 +102,25 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
             "motion well beyond break-away, in both directions: below it friction is a spring, and its level is open "
             f"({MOVES['speeds']}; {MOVES['loops']})",
         )
+        refusal.left, refusal.unseen = final.held_out_rms, ("coulomb",)
+        raise refusal
 
 
-def frictionless_error(source: str) -> InputError:
+class FrictionError(InputError):
+    """Refusal that says what friction is: true where nearly nothing is left that no fit explains.
+
+    Attributes:
+        left: residual of the fit behind it [N]; inf: that without dry friction is.
+        unseen: numbers that it says are open.
+    """
+
+    left: float = math.inf
+    unseen: tuple[str, ...] = ()
+
+
+def frictionless_error(source: str) -> FrictionError:
     """Return the refusal of logs whose fit ends at a Coulomb level of 0, which no machine file may state."""
-    return InputError(
+    return FrictionError(
         source,
         "friction",
         None,
@@ -126,10 +142,12 @@ def list_unexcited(measured: Mapping[Measure, float]) -> tuple[str, ...]:
 def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Number, ...]:
     """Numbers of [friction] and of the effects, in the file's order; `unseen`: see `list_unexcited`."""
     found, count, shape = final.numbers, len(final.fit.levels), final.fit.shape
-    numbers = [_number(name, found[name]) for name in ("coulomb",)]
-    numbers += [_number(f"{name}_{k}", found[f"{name}_{k}"]) for name in ("stiffness", "fraction") for k in _to(count)]
-    held = {f"stiffness_{k + 1}" for k in np.flatnonzero(shape.distances <= _smallest(final))}
-    numbers = [replace(n, determined=False, note=STAND_IN) if n.name in held else n for n in numbers]
+    numbers = [_number("coulomb", found["coulomb"])]
+    numbers += [_number(f"stiffness_{k}", found[f"stiffness_{k}"]) for k in range(1, count + 1)]
+    numbers += [_number(f"fraction_{k}", found[f"fraction_{k}"], upper=1.0) for k in range(1, count + 1)]
+    stiffest = final.fit.levels / find_resolved_distance(final.view, shape)
+    held = {f"stiffness_{k + 1}": float(stiffest[k]) for k in np.flatnonzero(find_unresolved(final))}
+    numbers = [_number(n.name, NumberEstimate(held[n.name], math.inf)) if n.name in held else n for n in numbers]
     if "viscous" in found:
         numbers.append(_number("viscous", found["viscous"]))
     else:
@@ -150,10 +168,12 @@ def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Numb
     return tuple(numbers)
 
 
-def _smallest(final: FinalIdentification) -> float:
-    """Break-away distance [m] up to which an element breaks away within what the records tell, or a fit follows."""
-    shape, view = final.fit.shape, final.view
-    return NEXT_TO_NOTHING * max(view.limits[0], distance_limits(shape.law, shape.rise, view)[0])
+def find_unresolved(final: FinalIdentification) -> NDArray[np.bool_]:
+    """Return which elements (k) break away within a few counts, or what a fit follows, and are not known to."""
+    fit, least = final.fit, final.view.limits[0]
+    known = [final.numbers[f"stiffness_{k + 1}"].relative <= KNOWN for k in range(len(fit.levels))]
+    surely = np.array(known) & (fit.shape.distances > least)
+    return (fit.shape.distances < find_resolved_distance(final.view, fit.shape)) & ~surely
 
 
 def _stem(name: str) -> str:
@@ -181,12 +201,14 @@ def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
                 ]
             )
             std = math.sqrt(max(0.0, float(slope @ cov @ slope)))
-            number = _number(f"{term.name}.{key}", NumberEstimate(float(value), std))
             parameter = definition.parameter(key)
+            angle = definition.polar is not None and key == definition.polar[1]
+            limits = (-math.pi, math.pi) if angle else (parameter.lower, parameter.upper)
+            number = _number(f"{term.name}.{key}", NumberEstimate(float(value), std), *limits)
             if parameter.array and math.isfinite(number.std):  # an entry may be 0: all of the list are as sure
                 largest = max(abs(other) for name, other in values.items() if parameter.holds(name))
-                number = replace(_number(number.name, NumberEstimate(largest, std)), value=number.value)
-            if definition.polar is not None and key == definition.polar[1]:  # an angle is no share of itself
+                number = replace(_number(number.name, NumberEstimate(largest, std), *limits), value=number.value)
+            if angle:  # it is no share of itself
                 number = replace(number, determined=std <= KNOWN, note="" if std <= KNOWN else STAND_IN)
             others = final.rivals.get(term.name, ())
             if others:
@@ -201,16 +223,17 @@ def identified_effects(fit: AxisFit) -> dict[str, dict[str, float]]:
     return {name: values for name, values in found.items() if values}
 
 
-def _number(name: str, quantity: NumberEstimate) -> Number:
-    if quantity.std <= ROUNDING * abs(quantity.value):  # the share of an only element
-        return Number(name, quantity.value, math.nan, True)
-    known = quantity.relative <= KNOWN
-    std = math.hypot(quantity.std, quantity.spread)
-    return Number(name, quantity.value, std, known, "" if known else STAND_IN)
-
-
-def _to(count: int) -> range:
-    return range(1, count + 1)
+def _number(name: str, quantity: NumberEstimate, lower: float = 0.0, upper: float = math.inf) -> Number:
+    """Return a number of these limits; without a deviation where that says no more than they do."""
+    value, std = quantity.value, math.hypot(quantity.std, quantity.spread)
+    if quantity.std <= ROUNDING * abs(value):  # the share of an only element
+        return Number(name, value, math.nan, True)
+    if quantity.relative <= KNOWN:
+        return Number(name, value, std, True)
+    room = min(upper - lower, UNTOLD * abs(value - lower), UNTOLD * abs(upper - value))
+    if not 2.0 * std < room:
+        return Number(name, float(f"{value:.3g}"), math.nan, False, STAND_IN)
+    return Number(name, value, std, False, STAND_IN)
 
 
 def mass_number(
@@ -263,7 +286,7 @@ def list_limits(
     """
     length = units.position
     said = []
-    if not found.decided:
+    if not found.decided and found.other is not found.fit:
         said.append(
             f"law: the logs do not tell elements that switch from smooth ones ({found.other.cross_rms:.3g} and "
             f"{found.fit.cross_rms:.3g} {units.force} are left); sgms is the default. {_needed('stiffness')}"
@@ -288,12 +311,15 @@ def list_limits(
         if name not in final.rivals and any(number.startswith(f"{name}.") for number in unknown)
     ]
     said += _late(final, view, units)
-    travel, fit, smallest = view.rows.extents.travel, final.fit, _smallest(final)
+    travel, fit = view.rows.extents.travel, final.fit
+    resolved = find_resolved_distance(view, fit.shape)
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
         element = f"element {k} (breaks away after {distance:.2g} {length})"
-        if distance <= smallest:
-            stiff = f"{level / smallest:.2g} {units.stiffness}"
-            said.append(f"{element}: no more than the log resolves; it is at least {stiff} stiff")
+        if find_unresolved(final)[k - 1]:
+            said.append(
+                f"element {k} (breaks away within {resolved:.2g} {length}): no more than the log resolves; the file "
+                f"has the least stiff one that does, {level / resolved:.2g} {units.stiffness}"
+            )
         elif distance > SLID * travel:
             said.append(
                 f"{element}: its level is open, {travel:.2g} {length} of travel are too few; it may be a spring"
@@ -316,9 +342,9 @@ def list_misfit(residual: float, floor: float, units: Units) -> list[str]:
     if residual <= MISFIT * floor:
         return []
     return [
-        f"residual: {residual:.3g} {units.force} on data that no fit has seen, {residual / floor:.2g} times the noise "
-        "floor. Intervals take it for a disturbance without a pattern: an effect that this file lacks may have moved "
-        "numbers beyond them. sgms-mhe diagnose looks for it"
+        f"residual: {residual:.2g} {units.force} rms is left that nothing here explains, on data that no fit has seen: "
+        f"{residual / floor:.2g} times the noise floor. Intervals take it for a disturbance without a pattern: an "
+        "effect that this file lacks may have moved numbers beyond them. sgms-mhe diagnose looks for it"
     ]
 
 

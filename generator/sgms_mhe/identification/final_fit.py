@@ -16,6 +16,7 @@ from sgms_mhe.identification.companions import (
     best_trials,
     carry_load,
     fit_level_terms,
+    is_possible,
     renew_columns,
 )
 from sgms_mhe.identification.elements import Law
@@ -27,10 +28,12 @@ from sgms_mhe.identification.fits import (
     covariance,
     encoder_forces,
     fit_axis,
+    hold_shape,
     largest_noise_bias,
     noise_share,
     quantities,
 )
+from sgms_mhe.identification.plain import measure_unseen
 from sgms_mhe.identification.record_numbers import add_spread, fit_record_terms
 from sgms_mhe.identification.search import (
     CHOICE_ITERATIONS,
@@ -40,22 +43,20 @@ from sgms_mhe.identification.search import (
     align,
     fit_aligned,
     is_better,
+    join_nearest,
     search_rise_speed,
 )
 from sgms_mhe.identification.spectrum import LARGEST
 from sgms_mhe.identification.terms import (
-    HELD,
     LATE,
     LAW_AND_SAMPLING,
     LEVEL_OF_RECORD,
+    SAMPLING,
     Term,
-    effect_parameters,
     is_level,
     is_within_limits,
 )
-from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
-from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import largest_force
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
@@ -98,6 +99,7 @@ class FinalIdentification:
         numbers: of the law, with deviations; those of numbers held at a default are not among them.
         mass: that the motion shows [kg]; None: it shows none.
         held_out_rms: residual of a fit of two thirds on the last third of the blocks [N].
+        stated_rms: the same without errors of timing, as the file has none [N].
         view: the records as they were fitted.
         rivals: effects that explain the records as well as one that was chosen, or that its motion does not tell from
             it, by its name.
@@ -109,6 +111,7 @@ class FinalIdentification:
     numbers: dict[str, NumberEstimate]
     mass: NumberEstimate | None
     held_out_rms: float
+    stated_rms: float
     view: RecordView
     rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     beside_mass: tuple[str, ...] = ()
@@ -157,21 +160,46 @@ def make_final_fit(
         if len(fit.levels) < count:
             fit = drop_idle_springs(views, fit)
     fit = drop_empty(views.fine, fit)
-    cov = covariance(views.fine, fit)
-    if is_apart(fit, cov, views.fine) is None:
+    if not (wanted.count or found.decided):  # how many there are was asked under either law alone
+        fit = join_alike(views.fine, fit)
+    return state_numbers(views.fine, fit, rivals, wanted, law_decided=found.decided)
+
+
+def state_numbers(
+    view: RecordView,
+    fit: AxisFit,
+    rivals: Mapping[str, tuple[str, ...]],
+    wanted: Known,
+    *,
+    law_decided: bool = True,
+    is_plain: bool = False,
+) -> FinalIdentification:
+    """Return a fit without what its records do not show, and its numbers.
+
+    Args:
+        view: the records at the full rate.
+        fit: of them.
+        rivals: of its effects, by their names.
+        wanted: what was given.
+        law_decided: whether the records tell the law of the elements.
+        is_plain: whether nothing was chosen in the fit: then it is left as it is, but for a mass that was given.
+    """
+    cov = covariance(view, fit)
+    if is_apart(fit, cov, view) is None:
         log_decision(
             "numbers",
             "an error of timing that is none stands for friction that no file has: it is left out",
             late_s=float(fit.coefficient(LATE)[0]),
             residual_N=fit.rms,
         )
-        fit = _fit_without(views.fine, fit, {LATE, HELD})
-        cov = covariance(views.fine, fit)
+        fit = _fit_without(view, fit, SAMPLING)
+        cov = covariance(view, fit)
     wide = quantities(fit, cov)
-    mass = _mass(views.fine.rows, wide["mass"])
-    dropped = _find_unseen(fit, cov, wide, views.fine.rows.machine.plant.moved if wanted.mass else None)
+    mass = _mass(view.rows, wide["mass"])
+    dropped = _find_unseen(fit, cov, wide, view.rows.machine.plant.moved if wanted.mass else None)
     if mass is None and wanted.mass:  # the one that was given is written, whatever the fit would have
         dropped.add("mass")
+    dropped = dropped & {"mass"} if is_plain else dropped
     log_decision(
         "numbers",
         "numbers that the records do not show, and a mass that agrees with the one given, are not free",
@@ -181,25 +209,22 @@ def make_final_fit(
     beside: tuple[str, ...] = ()
     if dropped:
         free, cov_free = fit, cov
-        fit = _fit_without(views.fine, fit, dropped)
-        cov = covariance(views.fine, fit)
-        if mass is None and wanted.mass and views.fine.rows.inertia > 0.0:
+        fit = _fit_without(view, fit, dropped, 0 if is_plain else FINAL_ITERATIONS)
+        cov = covariance(view, fit)
+        if mass is None and wanted.mass and view.rows.inertia > 0.0:
             cov, beside = _widen_beside_mass(free, cov_free, fit, cov)
-    if not found.decided:
-        cov = cov + _law_covariance(views.fine, fit)
-    if noise_share(views.fine, fit) > MASS_NOISE:
+    if not law_decided:
+        cov = cov + _law_covariance(view, fit)
+    if noise_share(view, fit) > MASS_NOISE:
         mass = None
-    numbers = add_spread(views.fine, fit, quantities(fit, cov))
+    numbers = add_spread(view, fit, quantities(fit, cov))
     if mass is not None and "mass" in numbers:
         mass = replace(mass, spread=numbers["mass"].spread)
     if "viscous" in dropped:  # held at 0 it would make the level look surer than it is
         numbers["coulomb"] = replace(numbers["coulomb"], std=wide["coulomb"].std)
-    rows = views.fine.rows
-    held_out = rows.rows_held_out()
-    judge = fit_axis(views.fine, fit.terms, fit.shape, rows.used & ~held_out, iterations=2)
-    held_out_rms = float(np.sqrt(np.mean(judge.residual[held_out] ** 2)))
+    left, stated = measure_unseen(view, fit)
     rivals = {name: others for name, others in rivals.items() if fit.place(name).stop}
-    return FinalIdentification(fit, cov, numbers, mass, held_out_rms, views.fine, rivals, beside)
+    return FinalIdentification(fit, cov, numbers, mass, left, stated, view, rivals, beside)
 
 
 def _law_covariance(view: RecordView, fit: AxisFit) -> Array:
@@ -269,6 +294,21 @@ def drop_empty(view: RecordView, fit: AxisFit) -> AxisFit:
     return fit
 
 
+def join_alike(view: RecordView, fit: AxisFit) -> AxisFit:
+    """The fit with as few elements as leave no more on unseen rows, unless all of them are known."""
+    while len(fit.levels) > 1:
+        numbers, count = quantities(fit, covariance(view, fit)), len(fit.levels)
+        own = [numbers[f"{name}_{k}"].relative for name in ("stiffness", "fraction") for k in range(1, count + 1)]
+        if max(own) <= UNSURE:
+            break
+        shape = replace(fit.shape, distances=join_nearest(fit, count - 1))
+        fewer = fit_axis(view, fit.terms, shape, iterations=FINAL_ITERATIONS)
+        if is_better(hold_shape(view, fit), hold_shape(view, fewer)):
+            break
+        fit = drop_empty(view, fewer)
+    return fit
+
+
 def drop_idle_springs(views: Views, fit: AxisFit) -> AxisFit:
     """The fit without springs that leave no less on unseen rows: some stood against an element that has gone since.
 
@@ -328,7 +368,7 @@ def _test_curves(views: Views, fit: AxisFit, curves: Sequence[Term]) -> AxisFit:
     without = look = fit_axis(lined, fit.terms, fit.shape, iterations=0)
     for curve in curves:
         tried = fit_axis(lined, (*fit.terms, curve), fit.shape, iterations=0)
-        gains = is_better(tried, look) and is_possible(machine, tried, curve)
+        gains = is_better(tried, look) and is_possible(machine, tried)
         log_decision(
             "companions",
             "curve over speed of any shape that leaves clearly less on unseen rows",
@@ -342,7 +382,7 @@ def _test_curves(views: Views, fit: AxisFit, curves: Sequence[Term]) -> AxisFit:
     if look is without:
         return fit
     best = _search_rise(views, fit_aligned(views, look.terms, fit.shape))
-    gains = is_better(best, fit) and is_possible(machine, best, look.terms[-1]) and _has_sure_level(views.fine, best)
+    gains = is_better(best, fit) and is_possible(machine, best) and _has_sure_level(views.fine, best)
     return best if gains else fit
 
 
@@ -356,12 +396,6 @@ def _leaves_steps_alone(view: RecordView, fit: AxisFit) -> bool:
 def _has_sure_level(view: RecordView, fit: AxisFit) -> bool:
     """Return True if a fit's elements keep a level that is known: a curve beside them does not stand for it."""
     return quantities(fit, covariance(view, fit))["coulomb"].relative < UNSURE
-
-
-def is_possible(machine: Machine, fit: AxisFit, term: Term) -> bool:
-    """Return True if a machine of the fit's level can have an effect of the size that it has there."""
-    scales = replace(scales_of(machine), coulomb=fit.coulomb)
-    return effect_definition(term.name).possible(effect_parameters(term, fit.coefficient(term.name)), scales)
 
 
 def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
@@ -387,10 +421,10 @@ def _mass(rows: Recording, extra: NumberEstimate) -> NumberEstimate | None:
     return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
 
 
-def _fit_without(view: RecordView, fit: AxisFit, names: Collection[str]) -> AxisFit:
+def _fit_without(view: RecordView, fit: AxisFit, names: Collection[str], iterations: int = FINAL_ITERATIONS) -> AxisFit:
     """Return the fit without some of its terms."""
     terms = tuple(term for term in fit.terms if term.name not in names)
-    return drop_empty(view, fit_axis(view, terms, fit.shape, iterations=FINAL_ITERATIONS))
+    return drop_empty(view, fit_axis(view, terms, fit.shape, iterations=iterations))
 
 
 def _widen_beside_mass(free: AxisFit, cov_free: Array, fit: AxisFit, cov: Array) -> tuple[Array, tuple[str, ...]]:

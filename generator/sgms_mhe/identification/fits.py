@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -44,6 +44,9 @@ WIDER: Final = 4.0
 """Beyond the grid's largest distance, as a factor, distances are not followed."""
 FINER: Final = 100.0
 """Below its smallest: that an element breaks away before an encoder sees it must not make it break away late."""
+COUNTS: Final = 3.5
+"""Times its smallest, about as many counts of an encoder: elements of a file that are not known break away after it.
+Stiffer ones would slip with every count that a reading flickers by."""
 STRIBECK: Final = (1e-4, 5.0)
 """Stribeck velocities that a fit follows, over the fastest speed: beyond that, the intervals say what is open."""
 MOST_NOISE: Final = 0.5
@@ -303,6 +306,16 @@ def fit_axis(
     return _finish(problem, minimise(problem, here, problem.box, iterations, ENOUGH * problem.count, TRIES))
 
 
+def hold_shape(view: RecordView, fit: AxisFit) -> AxisFit:
+    """Return a fit whose cross-validation holds its shape: one that turns within a sample has steep slopes in that."""
+    linear = np.ones(fit.jacobian.shape[1], dtype=np.bool_)
+    linear[: len(fit.levels)] = False
+    if fit.shape.rise is not None:
+        linear[2 * len(fit.levels) : 2 * len(fit.levels) + 2] = False
+    linear &= np.any(fit.jacobian != 0.0, axis=0)
+    return replace(fit, cross=cross_loss(view.rows, fit.jacobian[:, linear], fit.residual, fit.prior[linear]))
+
+
 def _finish(problem: _AxisProblem, point: _AxisPoint) -> AxisFit:
     rows, count = problem.view.rows, len(point.levels)
     extra = point.nonlinear.shape[1] - count
@@ -344,6 +357,11 @@ def distance_limits(law: Law, rise: Stribeck | None, view: RecordView) -> tuple[
         *(least_distance(law, rise or NO_RISE, motion.rate / motion.steps) for motion in view.motions),
     )
     return low, max(low, high * WIDER)
+
+
+def find_resolved_distance(view: RecordView, shape: Shape) -> float:
+    """Return the break-away distance [m] of an element that breaks away within what the records tell."""
+    return max(COUNTS * view.limits[0], distance_limits(shape.law, shape.rise, view)[0])
 
 
 def stribeck_limits(view: RecordView) -> tuple[float, float]:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import make_machine, step_every_sample
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification.description import (
+    MISFIT,
+    FrictionError,
     check_slides,
     frictionless_error,
     law_numbers,
@@ -23,28 +25,28 @@ from sgms_mhe.identification.description import (
     mass_number,
     unknown_mass,
 )
-from sgms_mhe.identification.elements import NO_RISE, run_elements
-from sgms_mhe.identification.final_fit import FinalIdentification, Known, make_final_fit
-from sgms_mhe.identification.fits import RecordView, encoder_forces
+from sgms_mhe.identification.final_fit import (
+    FinalIdentification,
+    Known,
+    is_apart,
+    make_final_fit,
+    state_numbers,
+)
+from sgms_mhe.identification.fits import AxisFit, encoder_forces, fit_axis
+from sgms_mhe.identification.plain import fit_plain, measure_unseen
 from sgms_mhe.identification.record_numbers import list_record_numbers
-from sgms_mhe.identification.records import Records, drop_start, filter_motion, make_records, scale_levels, sort_logs
+from sgms_mhe.identification.records import Records, filter_motion, make_records, sort_logs
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, name_all, replace_filter, rough_mass, unknown_axis
 from sgms_mhe.identification.search import LEAST_SHARE, MATERIAL, MOST_ELEMENTS, ChosenModel, Progress, Views, search
-from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
+from sgms_mhe.identification.spectrum import PER_DECADE
+from sgms_mhe.identification.start import Begun, begin, start_level_terms
 from sgms_mhe.identification.terms import (
-    LEVEL_OF_RECORD,
-    Term,
+    OF_RECORD,
+    SAMPLING,
     companion_names,
     companion_terms,
     curve_terms,
-    level_terms,
-    mass_term,
-    record_sizes,
-    record_terms,
-    sampling_terms,
-    transmitted_force,
-    viscous_term,
 )
 from sgms_mhe.identification.writing import check_toml, machine_content, machine_toml
 from sgms_mhe.logfiles.plausibility import check_plausible
@@ -69,10 +71,11 @@ DRIVEN: Final = 0.2
 """Mean power of friction over its mean size below minus which a sign is wrong: friction takes power."""
 NO_MASS: Final = 1.0
 """Mass [kg], or inertia [kg m^2], that stands in the file where friction alone was recorded: nothing depends on it."""
-SCALINGS: Final = 2
-"""Times that the levels of records are found beside each other [1]: each to first order."""
-LEAST_SCALE: Final = 0.1
-"""Least factor that a level changes by in one of them [1]."""
+AS_MUCH: Final = 0.9
+"""Share of what least squares leaves from which on as much is left beside errors of timing."""
+LEAST_SQUARES: Final = (
+    "the file is that of least squares of mass, Coulomb and viscous friction and forces over the place"
+)
 LEAST_NOISE: Final = 1e-4
 """Of the Coulomb level: a simulation without noise still has rounding and a sample's length."""
 
@@ -110,6 +113,10 @@ class Explored:
         found: law and elements.
         final: the numbers.
         measured: what the motion holds, by measure.
+        plain_rms: what a file of least squares leaves on data that no fit has seen [N]; NaN: nobody asked.
+        is_plain: whether this is that of least squares.
+        said: sentences on the two.
+        unseen: numbers of the law that the records do not show, whatever their deviation.
     """
 
     records: Records
@@ -117,6 +124,10 @@ class Explored:
     found: ChosenModel
     final: FinalIdentification
     measured: Mapping[Measure, float]
+    plain_rms: float = math.nan
+    is_plain: bool = False
+    said: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
 
     @property
     def friction(self) -> dict[str, Any]:
@@ -150,15 +161,79 @@ def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) ->
 
 
 def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Explored:
-    """Find law, elements and numbers of an axis; raises as `identify` does."""
+    """Find law, elements and numbers of an axis, or those of least squares where they leave less; raises likewise."""
     if wanted.elements is not None and not 1 <= wanted.elements <= MOST_ELEMENTS:
         raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
     known = Known(wanted.mass is not None or logs[0].is_friction_alone, wanted.elements is not None)
     records = _records(sort_logs(logs), wanted)
     try:
-        return _explore_records(records, wanted, known, report)
+        begun = begin(records, wanted.per_decade, report)
+        try:
+            explored = _explore_records(begun, wanted.elements, known, report)
+        except FrictionError as refusal:
+            return _explain(refusal, begun, known)
+        return _choose(begun, explored, known)
     except InputError as error:
         raise error.add_notes(records.warnings) from None
+
+
+def _choose(begun: Begun, explored: Explored, known: Known) -> Explored:
+    """Return what was explored, or that of least squares where it leaves less.
+
+    Errors of timing within a sample are of the log, not of the axis: numbers beside them are truer, whatever a file
+    without them leaves. Where beside them no less is left than least squares leaves without, they are none.
+    """
+    final, view = explored.final, begun.views.fine
+    kept = {"viscous", "mass", *(term.name for term in final.fit.terms if term.name in OF_RECORD)}
+    timed, plain = (
+        fit_plain(view, [term for term in begun.base if term.name in kept | names]) for names in (set(SAMPLING), set())
+    )
+    beside, left = measure_unseen(view, timed[0])[0], measure_unseen(view, plain[0])[1]
+    apart = is_apart(final.fit, final.cov, final.view)
+    is_less, unit = left < (1.0 - MATERIAL) * final.stated_rms, begun.records.machine.plant.units.force
+    bent = (
+        f"least squares leaves {left:.3g} {unit}, this file {final.stated_rms:.3g}, but {final.held_out_rms:.3g} "
+        "beside errors of timing that no file states: to those least squares bends its numbers"
+    )
+    explored = replace(explored, plain_rms=left, said=(bent,) if is_less and not apart else ())
+    none = not apart and is_less and final.held_out_rms > AS_MUCH * left
+    if not plain[0].coulomb > 0.0 or not (none or beside < (1.0 - MATERIAL) * final.held_out_rms):
+        return explored
+    found = _state_plain(begun, *(timed if apart else plain), known)
+    own = found.final.stated_rms
+    if own >= final.stated_rms:
+        return explored
+    if final.mass is not None and found.final.mass is None and not known.mass:
+        inert = begun.records.machine.plant.units.inert
+        return replace(explored, said=(f"least squares leaves {own:.3g} {unit}, less than this file, without {inert}",))
+    said = f"a search for elements and effects leaves {final.stated_rms:.3g} {unit} on data that no fit has seen"
+    return replace(found, plain_rms=own, said=(f"{LEAST_SQUARES}: {said}, this {own:.3g} {unit}",))
+
+
+def _explain(refusal: FrictionError, begun: Begun, known: Known) -> Explored:
+    """Return what least squares says where more is left than a refusal may speak of; else raise it.
+
+    Raises:
+        InputError: nearly nothing is left, or least squares has no friction either.
+    """
+    view, units = begun.views.fine, begun.records.machine.plant.units
+    fit, rivals = fit_plain(view, [term for term in begun.base if term.name not in SAMPLING])
+    bare = fit_axis(view, fit.terms, replace(fit.shape, distances=np.zeros(0)), iterations=0)
+    if min(refusal.left, bare.rms) <= MISFIT * noise_floor(view.rows, fit.residual):
+        raise refusal
+    if not fit.coulomb > 0.0:
+        left = f"{fit.rms:.2g} {units.force} rms that nothing here explains"
+        raise InputError(begun.records.names[0], "residual", left, "a log with less of it: it hides dry friction")
+    found = _state_plain(begun, fit, rivals, known)
+    said = f"{LEAST_SQUARES}: beside what is left no elements show"
+    return replace(found, plain_rms=found.final.stated_rms, said=(said,), unseen=refusal.unseen)
+
+
+def _state_plain(begun: Begun, fit: AxisFit, rivals: Mapping[str, tuple[str, ...]], known: Known) -> Explored:
+    """Return what least squares says."""
+    final = state_numbers(begun.views.fine, fit, rivals, known, is_plain=True)
+    found = ChosenModel(final.fit, final.fit, decided=False, counts={len(fit.levels): fit.cross_rms})
+    return Explored(begun.records, begun.views, found, final, _measure(begun.records, found), is_plain=True)
 
 
 def explore_recording(recording: Recording, report: Progress = _silent) -> Explored:
@@ -176,23 +251,18 @@ def explore_recording(recording: Recording, report: Progress = _silent) -> Explo
     recording = replace(recording, machine=make_machine(bare, recording.machine.source))
     motion = (filter_motion(recording),)
     records = Records(recording.machine, (recording.machine.name,), recording, motion, motion, 0.0, ())
-    return _explore_records(records, Wanted(recording.machine.name), Known(mass=False, count=False), report)
+    return _explore_records(begin(records, PER_DECADE, report), None, Known(mass=False, count=False), report)
 
 
-def _explore_records(records: Records, wanted: Wanted, known: Known, report: Progress) -> Explored:
+def _explore_records(begun: Begun, elements: int | None, known: Known, report: Progress) -> Explored:
     """Find law, elements and numbers of an axis along its records; `known`: what stays unless they contradict."""
-    report("convex start")
-    # Which rows count is no matter of where the search starts: of one grid, whatever the start's is.
-    records = drop_start(records, _start(records, PER_DECADE)[1].reach)
-    rows = records.rows
-    records, spectrum, base = _start(records, wanted.per_decade)
+    records, views, spectrum, base = begun.records, begun.views, begun.spectrum, begun.base
+    if not len(spectrum.distances):
+        raise frictionless_error(name_all(records.names))
+    rows, noise = records.rows, views.fine.noise
     companions, curves = companion_terms(rows), curve_terms(rows)
-    level = _level_terms(rows, base, spectrum)
-    noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
-    limits = float(grid[0]), float(grid[-1])
-    fine = RecordView(rows, records.fine, noise, limits, records.steps_inertia, records.misread, records.thinned)
-    views = Views(RecordView(rows, records.coarse, noise, limits), fine)
-    found = search(views, (*base, *companions, *level), spectrum, wanted.elements, report)
+    level = start_level_terms(rows, base, spectrum)
+    found = search(views, (*base, *companions, *level), spectrum, elements, report)
     if not found.fit.coulomb > 0.0:
         raise frictionless_error(name_all(records.names))
     measured = _measure(records, found)
@@ -210,79 +280,6 @@ def _explore_records(records: Records, wanted: Wanted, known: Known, report: Pro
         shown=excited,
     )
     return Explored(records, views, found, final, measured)
-
-
-def _start(records: Records, per_decade: float) -> tuple[Records, Spectrum, tuple[Term, ...]]:
-    """Return the records with their levels, the convex start, and the terms beside the elements that are no effects.
-
-    Raises:
-        InputError: there is no friction.
-    """
-    rows, grid = records.rows, distance_grid(records, per_decade)
-    base: tuple[Term, ...] = (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
-    beside, noise = companion_terms(rows), noise_floor(rows, rows.friction)
-    spectrum = find_spectrum(records, (*base, *beside), noise, grid)
-    records, base, spectrum = _separate_records(records, base, beside, spectrum, noise, grid)
-    terms, level = (*base, *beside), _level_terms(rows, base, spectrum)
-    if level:
-        spectrum = find_spectrum(records, (*terms, *level), noise, grid)
-    if not len(spectrum.distances):
-        raise frictionless_error(name_all(records.names))
-    return records, spectrum, base
-
-
-def _separate_records(
-    records: Records, base: Sequence[Term], beside: Sequence[Term], spectrum: Spectrum, noise: float, grid: Array
-) -> tuple[Records, tuple[Term, ...], Spectrum]:
-    """Return records, terms and convex start with what belongs to a record, where that leaves clearly less.
-
-    Args:
-        records: all logs.
-        base: terms that are no effects.
-        beside: effects that may be there.
-        spectrum: convex start with these terms.
-        noise: of a row [N].
-        grid: break-away distances [m].
-    """
-    own: list[Term] = []
-    left = list(_record_terms(records, spectrum))
-    while left:
-        tried = [find_spectrum(records, (*own, term, *base, *beside), noise, grid) for term in left]
-        best = min(range(len(left)), key=lambda k: tried[k].loss)
-        if not tried[best].loss < (1.0 - MATERIAL) ** 2 * spectrum.loss:
-            break
-        spectrum = tried[best]
-        own.append(left.pop(best))
-    names = [term.name for term in own]
-    for _ in range(SCALINGS if LEVEL_OF_RECORD in names else 0):
-        first = names.index(LEVEL_OF_RECORD) * (len(records.names) - 1)
-        sizes = record_sizes(spectrum.coefficients[first : first + len(records.names) - 1])
-        factors = np.maximum(1.0 + sizes / float(spectrum.levels.sum()), LEAST_SCALE)
-        records = scale_levels(records, factors.tolist())
-        anew = {term.name: term for term in _record_terms(records, spectrum)}
-        own = [anew[name] for name in names]
-        spectrum = find_spectrum(records, (*own, *base, *beside), noise, grid)
-    log_decision("records", "what belongs to each record, where it leaves clearly less", own=names)
-    return records, (*own, *base), spectrum
-
-
-def _record_terms(records: Records, spectrum: Spectrum) -> tuple[Term, ...]:
-    """Return what belongs to a record and not to the axis, the level along the convex start's elements."""
-    if len(records.names) < 2 or not len(spectrum.distances):
-        return ()
-    runs = run_elements(records.coarse, "switching", spectrum.distances, spectrum.rise or NO_RISE)
-    pairs = zip(spectrum.levels.tolist(), runs, strict=True)
-    force = np.sum([level * (run.chi + run.jacobian[:, 0]) for level, run in pairs], axis=0)
-    lengths = [motion.rows for motion in records.coarse]
-    return record_terms(records.rows, lengths, force / float(spectrum.levels.sum()))
-
-
-def _level_terms(rows: Recording, base: Sequence[Term], spectrum: Spectrum) -> tuple[Term, ...]:
-    terms = (*base, *companion_terms(rows))
-    count = sum(term.columns.shape[1] for term in terms)
-    return level_terms(
-        rows, transmitted_force(rows, terms, spectrum.coefficients[:count]), spectrum.sliding, spectrum.rise
-    )
 
 
 def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
@@ -404,10 +401,11 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
         mass, said = mass_number(final, given, mass_kg, units)
     unexcited = list_unexcited(explored.measured)
-    numbers: tuple[Number, ...] = (mass, *law_numbers(final, unexcited))
+    numbers: tuple[Number, ...] = (mass, *law_numbers(final, (*unexcited, *explored.unseen)))
     rows = views.fine.rows
     floor = noise_floor(rows, fit.residual, largest_force(rows, encoder_forces(views.fine, fit)))
     limits = [
+        *explored.said,
         *said,
         *list_limits(numbers, found, final, views.fine, units, unexcited),
         *list_misfit(final.held_out_rms, floor, units),
@@ -439,6 +437,9 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         warnings=(*records.warnings, *list_record_numbers(records.names, views.fine, fit, units)),
         rms_N=fit.rms,
         held_out_rms_N=final.held_out_rms,
+        stated_rms_N=final.stated_rms,
+        plain_rms_N=explored.plain_rms,
+        is_plain=explored.is_plain,
         noise_floor_N=floor,
         friction_rms_N=float(np.std(views.fine.rows.friction[used])),
         by_count=found.counts,

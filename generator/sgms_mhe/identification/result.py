@@ -55,6 +55,9 @@ class Identification(Shown):
         warnings: what a user should know about the logs.
         rms_N: residual of all rows.
         held_out_rms_N: on a third of the blocks that the fit had not seen.
+        stated_rms_N: the same without errors of timing, which a machine file does not state.
+        plain_rms_N: the same of least squares of mass, Coulomb and viscous friction and forces over the place.
+        is_plain: whether that left less, and is what the machine has.
         noise_floor_N: of a row.
         friction_rms_N: of the measured friction.
         by_count: cross-validated residual by number of elements tried [N].
@@ -70,6 +73,9 @@ class Identification(Shown):
     warnings: tuple[str, ...]
     rms_N: float
     held_out_rms_N: float
+    stated_rms_N: float
+    plain_rms_N: float
+    is_plain: bool
     noise_floor_N: float
     friction_rms_N: float
     by_count: Mapping[int, float]
@@ -136,8 +142,10 @@ class Identification(Shown):
                 "held_out": self.held_out_rms_N,
                 "noise_floor": self.noise_floor_N,
                 "friction": self.friction_rms_N,
+                "stated": self.stated_rms_N,
                 "by_elements": {str(count): rms for count, rms in self.by_count.items()},
             },
+            "plain": {"held_out_N": self.plain_rms_N, "written": self.is_plain},
             "limits": list(self.limits),
             "warnings": list(self.warnings),
             "logs": list(self.sources),

@@ -144,6 +144,8 @@ def search(
     decided = is_better(chosen, rival)
     if not decided and law == "switching":
         law, other, chosen, rival = other, law, rival, chosen
+    if not decided and len(rival.levels) > len(chosen.levels):  # of two laws alike the fewer elements are enough
+        rival = fit_aligned(views, terms, Shape(other, chosen.shape.distances, chosen.shape.rise))
     counts = {k: fits[law][k].cross_rms for k in sorted(fits[law])}
     log_decision(
         "elements",
@@ -264,9 +266,13 @@ def _change_count(near: AxisFit, count: int) -> list[Array]:
         ends = NEXT * distances[0], distances[-1] / NEXT
         between = np.sqrt(distances[1:] * distances[:-1])
         return [np.sort(np.append(distances, one)) for one in (ends[0], *between.tolist(), ends[1])]
-    weights = np.maximum(near.levels, max(1e-9 * near.coulomb, LEAST_WEIGHT))
-    merged = cluster(Spectrum(distances, weights, None), count)
-    return [merged[0]]
+    return [join_nearest(near, count)]
+
+
+def join_nearest(fit: AxisFit, count: int) -> Array:
+    """Distances (count) of a fit with its closest elements merged."""
+    weights = np.maximum(fit.levels, max(1e-9 * fit.coulomb, LEAST_WEIGHT))
+    return cluster(Spectrum(fit.shape.distances, weights, None), count)[0]
 
 
 def element_numbers(recording: Recording, noise: float) -> dict[str, float]:

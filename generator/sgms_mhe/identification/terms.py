@@ -34,7 +34,9 @@ DAMPING_OF_RECORD: Final = "record_damping"
 MASS_OF_RECORD: Final = "record_mass"
 """Name of the same of the moved mass [kg], where each record moves a payload."""
 OF_RECORD: Final = (OFFSET_OF_RECORD, LEVEL_OF_RECORD, DAMPING_OF_RECORD, MASS_OF_RECORD)
-LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, HELD, PLACE, *OF_RECORD)
+SAMPLING: Final = (LATE, HELD)
+"""Names of errors of sampling, which no machine file states."""
+LAW_AND_SAMPLING: Final = ("viscous", "mass", *SAMPLING, PLACE, *OF_RECORD)
 """Names of terms that are no effects."""
 BENDS: Final = (2, 3, 4, 5)
 """Orders of the polynomials over the travel that such a force has."""
