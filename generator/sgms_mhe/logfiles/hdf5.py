@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_error, real
-from sgms_mhe.support.errors import InputError
+from sgms_mhe.logfiles.table import Array, Table, Variable, real, refuse_damage, table_of_variables
 from sgms_mhe.support.libraries import optional_library
 
 _WHOLE = "a whole HDF5 file, its columns arrays of real numbers"
@@ -19,46 +17,31 @@ def read_hdf5(path: Path) -> Table:
     Raises InputError for a damaged file and where h5py is absent, OSError as open does.
     """
     h5py = optional_library("h5py", "hdf5", "HDF5", path)
-    with path.open("rb"):
-        pass  # a file that cannot be opened is told from one that is no HDF5
-    found: dict[str, tuple[str, Column]] = {}
+    found: dict[str, Variable] = {}
 
-    def note(name: str, node: Any) -> None:
-        if not isinstance(node, h5py.Dataset) or name.startswith("#"):
+    def note(place: str, node: Any) -> None:
+        if not isinstance(node, h5py.Dataset) or place.startswith("#"):
             return
-        if node.dtype.names:
-            for member in node.dtype.names:
-                column = f"{_dot_name(name)}.{member}"
-                found[column] = (name, Column(column, column, shape=node.shape))
-        elif node.dtype.kind in "fiub":
-            column = _dot_name(name)
-            found[column] = (name, Column(column, column, stated_unit(node), node.shape))
+        name = place.strip("/").replace("/", ".")
+        for member in node.dtype.names or ():
+            found[f"{name}.{member}"] = hdf_variable(path, h5py, f"{name}.{member}", node, member)
+        if node.dtype.kind in "fiub":
+            found[name] = hdf_variable(path, h5py, name, node, ())
 
-    try:
+    with refuse_damage(path, _WHOLE), h5py.File(path, "r") as content:
+        content.visititems(note)
+    return table_of_variables(path, "HDF5", _WHOLE, found)
+
+
+def hdf_variable(path: Path, h5py: Any, name: str, node: Any, part: str | tuple[()]) -> Variable:
+    """The array at a node of an open file, or the member `part` of its elements, which have no unit."""
+    place = node.name
+
+    def read() -> Array:
         with h5py.File(path, "r") as content:
-            content.visititems(note)
-    except Exception as error:  # the readers of a damaged file stumble in many ways
-        raise damage_error(path, _WHOLE, error) from None
+            return real(path, name, content[place][part])
 
-    def read(names: Sequence[str]) -> Mapping[str, Array]:
-        try:
-            with h5py.File(path, "r") as content:
-                values = {}
-                for name in names:
-                    node = content[found[name][0]]
-                    value = node[name.rsplit(".", 1)[1]] if node.dtype.names else node[()]
-                    values[name] = real(path, name, value)
-                return values
-        except InputError:
-            raise
-        except Exception as error:
-            raise damage_error(path, _WHOLE, error) from None
-
-    return Table("HDF5", tuple(column for _, column in found.values()), read, array_row)
-
-
-def _dot_name(name: str) -> str:
-    return name.strip("/").replace("/", ".")
+    return Variable(node.shape, read, unit="" if part else stated_unit(node))
 
 
 def stated_unit(node: Any) -> str:

@@ -10,15 +10,15 @@ import math
 import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from sgms_mhe.logfiles.mat73 import DEEPEST, HdfVariable, describe_values, hdf_variables
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_error
-from sgms_mhe.support.errors import InputError
+from sgms_mhe.logfiles.mat73 import DEEPEST, describe_values, hdf_variables
+from sgms_mhe.logfiles.table import Array, Table, Variable, refuse_damage, table_of_variables
 from sgms_mhe.support.libraries import optional_library
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -34,73 +34,40 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"  # begins a file of v7.3 that other programs wrote,
 _WHOLE = "a whole MAT file, its columns arrays of real numbers"
 
 
-@dataclass(frozen=True)
-class MatVariable:
-    """A variable, or a member of a struct, that has been found and not yet read; `label`, `unit`: as it states them."""
-
-    name: str
-    shape: tuple[int, ...]
-    order: str
-    packed: bool
-    body: memoryview
-    label: str = ""
-    unit: str = ""
-
-    def read(self) -> Array:
-        """The values in the variable's own shape; ValueError or zlib.error where they are damaged or not real."""
-        elements = _elements(_unpack(self.body, self.packed), self.order)
-        flags, shape, _ = _description(elements, self.order)
-        if flags & 0xFF not in _NUMERIC_CLASSES or flags & _COMPLEX:
-            raise ValueError(f"{self.name} is no array of real numbers")
-        kind, data = next(elements, (0, memoryview(b"")))
-        if kind not in _TYPES:
-            raise ValueError(f"{self.name} has the unknown data type {kind}")
-        values = np.frombuffer(data, dtype=self.order + _TYPES[kind])
-        if values.size != math.prod(shape):
-            raise ValueError(f"{self.name} holds {values.size} numbers for the shape {shape}")
-        return values.astype(np.float64).reshape(shape, order="F")
+def _read(name: str, order: str, packed: bool, body: memoryview) -> Array:
+    """The values of a variable in its own shape; ValueError or zlib.error where they are damaged or not real."""
+    elements = _elements(_unpack(body, packed), order)
+    flags, shape, _ = _description(elements, order)
+    if flags & 0xFF not in _NUMERIC_CLASSES or flags & _COMPLEX:
+        raise ValueError(f"{name} is no array of real numbers")
+    kind, data = next(elements, (0, memoryview(b"")))
+    if kind not in _TYPES:
+        raise ValueError(f"{name} has the unknown data type {kind}")
+    values = np.frombuffer(data, dtype=order + _TYPES[kind])
+    if values.size != math.prod(shape):
+        raise ValueError(f"{name} holds {values.size} numbers for the shape {shape}")
+    return values.astype(np.float64).reshape(shape, order="F")
 
 
 def read_mat(path: Path) -> Table:
     """The table of a MAT file, one of v7.3 by HDF5. Raises InputError for a damaged file, OSError as open does."""
     content = path.read_bytes()
-    try:
-        if content.startswith(_HDF5) or _version(content) == _V73:
-            return _read_mat73(path)
-        return _table(path, "MAT v5", mat_variables(content))
-    except (ValueError, zlib.error) as error:
-        raise damage_error(path, _WHOLE, error) from None
-
-
-def _read_mat73(path: Path) -> Table:
+    with refuse_damage(path, _WHOLE):
+        if not content.startswith(_HDF5) and _version(content) == _V5:
+            return _table(path, "MAT v5", mat_variables(content))
     h5py = optional_library("h5py", "hdf5", "MAT v7.3", path)
-    try:
+    with refuse_damage(path, "a whole HDF5 file, as version 7.3 is, its columns arrays of real numbers"):
         return _table(path, "MAT v7.3", hdf_variables(path, h5py))
-    except Exception as error:  # the readers of a damaged file stumble in many ways
-        allowed = "a whole HDF5 file, as version 7.3 is, its columns arrays of real numbers"
-        raise damage_error(path, allowed, error) from None
 
 
-def _table(path: Path, form: str, found: Mapping[str, MatVariable] | Mapping[str, HdfVariable]) -> Table:
+def _table(path: Path, form: str, found: dict[str, Variable]) -> Table:
     """The table of a file's variables; ValueError where the index of a channel's times is damaged."""
     clocks = {name: clock for name in found if (clock := _clock(name, found))}
-
-    def read(names: Sequence[str]) -> Mapping[str, Array]:
-        try:
-            return {name: found[name].read() for name in names}
-        except InputError:
-            raise
-        except Exception as error:
-            raise damage_error(path, _WHOLE, error) from None
-
-    columns = tuple(
-        Column(name, v.label or name, v.unit or ("s" if name in clocks.values() else ""), v.shape)
-        for name, v in found.items()
-    )
-    return Table(form, columns, read, array_row, clocks=clocks)
+    found |= {clock: replace(found[clock], unit=found[clock].unit or "s") for clock in clocks.values()}
+    return replace(table_of_variables(path, form, _WHOLE, found), clocks=clocks)
 
 
-def _clock(name: str, found: Mapping[str, MatVariable] | Mapping[str, HdfVariable]) -> str | None:
+def _clock(name: str, found: Mapping[str, Variable]) -> str | None:
     """Name of the times of a channel: X(k).Data of Y(i).Data in ControlDesk's files, time of signals in Simulink's."""
     path = _CHANNEL.fullmatch(name)
     if path is None:
@@ -128,11 +95,11 @@ def _version(content: bytes) -> int:
     return version
 
 
-def mat_variables(content: bytes) -> dict[str, MatVariable]:
+def mat_variables(content: bytes) -> dict[str, Variable]:
     """The variables of a MAT v5 file by name, members of structs as paths with dots; ValueError where it is damaged."""
     whole = memoryview(content)
     order = "<" if content[126:128] == b"IM" else ">"
-    variables: dict[str, MatVariable] = {}
+    variables: dict[str, Variable] = {}
     for kind, body in _elements(whole[_HEADER:], order):
         packed = kind == _COMPRESSED
         if not packed and kind != _MATRIX:
@@ -145,7 +112,7 @@ def mat_variables(content: bytes) -> dict[str, MatVariable]:
         if flags & 0xFF == _STRUCT:
             variables |= _members(_unpack(body, packed), order, name, 0)
         elif name:  # what has none is MATLAB's own
-            variables[name] = MatVariable(name, shape, order, packed, body)
+            variables[name] = Variable(shape, partial(_read, name, order, packed, body))
     return variables
 
 
@@ -153,7 +120,7 @@ def _unpack(body: memoryview, packed: bool) -> memoryview:
     return memoryview(zlib.decompress(body))[8:] if packed else body
 
 
-def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str, MatVariable]:
+def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str, Variable]:
     """Numeric members of a struct, and of those inside it; of an array of structs those of path(1), path(2), ..."""
     elements = _elements(matrix, order)
     _, shape, _ = _description(elements, order)
@@ -168,7 +135,7 @@ def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str,
         raise ValueError("a struct whose names are damaged")
     fields = [bytes(names[k : k + size]).partition(b"\0")[0].decode("latin-1") for k in range(0, len(names), size)]
     values = list(elements)
-    found: dict[str, MatVariable] = {}
+    found: dict[str, Variable] = {}
     for k in range(min(math.prod(shape), len(values))):
         own = path if math.prod(shape) == 1 else f"{path}({k + 1})"
         part = values[k * len(fields) : (k + 1) * len(fields)]
@@ -176,9 +143,9 @@ def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str,
     return found
 
 
-def _fields(members: Mapping[str, tuple[int, memoryview]], order: str, path: str, depth: int) -> dict[str, MatVariable]:
+def _fields(members: Mapping[str, tuple[int, memoryview]], order: str, path: str, depth: int) -> dict[str, Variable]:
     """Numeric members of one struct by their paths, its values with the label and the unit that stand beside them."""
-    found: dict[str, MatVariable] = {}
+    found: dict[str, Variable] = {}
     texts: dict[str, str] = {}
     for field, (kind, body) in members.items():
         if kind != _MATRIX or not len(body):
@@ -187,7 +154,8 @@ def _fields(members: Mapping[str, tuple[int, memoryview]], order: str, path: str
         if own == _STRUCT:
             found |= _members(body, order, name, depth + 1)
         elif own in _NUMERIC_CLASSES:
-            found[name] = MatVariable(name, _description(_elements(body, order), order)[1], order, False, body)
+            shape = _description(_elements(body, order), order)[1]
+            found[name] = Variable(shape, partial(_read, name, order, False, body))
         elif own == _CHAR:
             texts[field.casefold()] = _text(body, order)
     return describe_values(found, path, texts)

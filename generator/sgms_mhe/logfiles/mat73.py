@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Final, Protocol, TypeVar
+from typing import Any, Final
 
 import numpy as np
 
-from sgms_mhe.logfiles.hdf5 import stated_unit
-from sgms_mhe.logfiles.table import Array, real
+from sgms_mhe.logfiles.hdf5 import hdf_variable
+from sgms_mhe.logfiles.table import Variable
 
 VALUES: Final = ("Data", "data", "values", "Values")
 """Fields of a channel that hold its samples, where a name and a unit may stand beside them."""
@@ -21,44 +21,6 @@ DEEPEST: Final = 16
 """Structs within structs."""
 _MOST: Final = 100_000
 """Variables of a file: references may lead in a circle."""
-
-
-@dataclass(frozen=True)
-class HdfVariable:
-    """An array of the file, found and not yet read.
-
-    Attributes:
-        name: of the variable, members of structs as a path with dots.
-        shape: as MATLAB has it.
-        path: of the file.
-        place: of the array within it.
-        label, unit: as the file states them beside it.
-    """
-
-    name: str
-    shape: tuple[int, ...]
-    path: Path
-    place: str
-    h5py: Any
-    label: str = ""
-    unit: str = ""
-
-    def read(self) -> Array:
-        """The values in MATLAB's shape, which are turned in the file; raises as h5py does where they are damaged."""
-        with self.h5py.File(self.path, "r") as content:
-            return real(self.path, self.name, content[self.place][()].T)
-
-
-class _Described(Protocol):
-    """A data class of variables with the label and the unit that the file states beside them."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def unit(self) -> str: ...
-
-
-Variable = TypeVar("Variable", bound=_Described)
 
 
 def describe_values(found: dict[str, Variable], path: str, texts: Mapping[str, str]) -> dict[str, Variable]:
@@ -70,7 +32,7 @@ def describe_values(found: dict[str, Variable], path: str, texts: Mapping[str, s
     return found
 
 
-def hdf_variables(path: Path, h5py: Any) -> dict[str, HdfVariable]:
+def hdf_variables(path: Path, h5py: Any) -> dict[str, Variable]:
     """The variables of a file by name; raises as h5py does, and ValueError, where it is damaged."""
     with h5py.File(path, "r") as content:
         return _Walk(path, h5py, content).members({key: content[key] for key in content if key[:1] != "#"}, "", 0)
@@ -84,7 +46,7 @@ class _Walk:
     h5py: Any
     content: Any
 
-    def struct(self, group: Any, path: str, depth: int) -> dict[str, HdfVariable]:
+    def struct(self, group: Any, path: str, depth: int) -> dict[str, Variable]:
         """Members of a struct by their paths; of an array of structs those of path(1), path(2), ..."""
         if depth > DEEPEST:
             return {}
@@ -93,7 +55,7 @@ class _Walk:
             return self.members(fields, path, depth)
         references = {key: np.ravel(node[()]) for key, node in fields.items()}
         count = min(map(len, references.values()))
-        found: dict[str, HdfVariable] = {}
+        found: dict[str, Variable] = {}
         for k in range(count):
             part = {key: self.content[places[k]] for key, places in references.items() if places[k]}
             found |= self.members(part, path if count == 1 else f"{path}({k + 1})", depth)
@@ -101,9 +63,9 @@ class _Walk:
                 raise ValueError(f"more than {_MOST} variables")
         return found
 
-    def members(self, fields: Mapping[str, Any], path: str, depth: int) -> dict[str, HdfVariable]:
+    def members(self, fields: Mapping[str, Any], path: str, depth: int) -> dict[str, Variable]:
         """Numeric members of one struct by their paths, its values with the label and the unit beside them."""
-        found: dict[str, HdfVariable] = {}
+        found: dict[str, Variable] = {}
         texts: dict[str, str] = {}
         for field, node in fields.items():
             name = f"{path}.{field}" if path else field
@@ -114,15 +76,18 @@ class _Walk:
             elif _class(node) == "char":
                 texts[field.casefold()] = "".join(map(chr, np.ravel(node[()]))).strip("\0 ")
             else:
-                found[name] = HdfVariable(
-                    name, node.shape[::-1], self.path, node.name, self.h5py, unit=stated_unit(node)
-                )
+                found[name] = _turn(hdf_variable(self.path, self.h5py, name, node, ()))
         return describe_values(found, path, texts)
 
     def _is_referring(self, node: Any) -> bool:
         """Return True for the field of a struct array; a cell array refers too, and says so."""
         is_data = isinstance(node, self.h5py.Dataset)
         return is_data and self.h5py.check_ref_dtype(node.dtype) is not None and _class(node) != "cell"
+
+
+def _turn(found: Variable) -> Variable:
+    """A variable in MATLAB's shape."""
+    return replace(found, shape=found.shape[::-1], read=lambda: found.read().T)
 
 
 def _class(node: Any) -> str:

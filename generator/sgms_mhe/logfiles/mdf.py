@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, damage_error, real
+from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, damage_error, real, refuse_damage
 from sgms_mhe.support.libraries import optional_library
 
 _WHOLE = "a whole MDF file of numeric channels"
@@ -24,8 +24,6 @@ def read_mdf(path: Path) -> Table:
     Raises InputError for a damaged file and where asammdf is absent, OSError as open does.
     """
     asammdf = optional_library("asammdf", "mdf", "MDF", path)
-    with path.open("rb"):
-        pass  # a file that cannot be opened is told from one that is no MDF
 
     def open_file() -> Any:
         with _silence():
@@ -57,11 +55,8 @@ def read_mdf(path: Path) -> Table:
         with open_file() as content:
             for name in names:
                 group, channel = where[name]
-                try:
-                    with _silence():
-                        signal = content.get(group=group, index=channel)
-                except Exception as error:
-                    raise damage_error(path, _WHOLE, error) from None
+                with refuse_damage(path, _WHOLE), _silence():
+                    signal = content.get(group=group, index=channel)
                 is_clock = masters[group] == channel
                 time = np.asarray(signal.timestamps, dtype=np.float64)
                 values[name] = time if is_clock else real(path, f"channel {name}", signal.samples)

@@ -6,10 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_error, real, seconds
-from sgms_mhe.support.errors import InputError
+from sgms_mhe.logfiles.table import Array, Column, Table, array_row, real, refuse_damage, seconds
 from sgms_mhe.support.libraries import optional_library
 
 
@@ -35,24 +32,16 @@ def read_feather(path: Path) -> Table:
 def _read(path: Path, form: str, read_schema: Callable[[Path], Any], read_columns: Callable[..., Any]) -> Table:
     arrow = optional_library("pyarrow", "parquet", form, path)
     damaged = f"a whole {form} file, its columns numbers or time stamps"
-    with path.open("rb"):
-        pass  # a file that cannot be opened is told from a damaged one
-    try:
+    with refuse_damage(path, damaged):
         schema = read_schema(path)
-    except (arrow.ArrowException, OSError, ValueError) as error:
-        raise damage_error(path, damaged, error) from None
     columns = tuple(Column(entry.name, entry.name, _unit(entry.metadata)) for entry in schema)
     stamped = frozenset(entry.name for entry in schema if arrow.types.is_timestamp(entry.type))
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
-        try:
+        with refuse_damage(path, damaged):
             content = read_columns(path, columns=list(names))
             values = {name: content.column(name).to_numpy() for name in names}
-            return {name: _values(path, name, value, name in stamped) for name, value in values.items()}
-        except InputError:
-            raise
-        except (arrow.ArrowException, OSError, ValueError) as error:
-            raise damage_error(path, damaged, error) from None
+            return {n: seconds(value) if n in stamped else real(path, n, value) for n, value in values.items()}
 
     return Table(form, columns, read, array_row, stamped=stamped)
 
@@ -60,9 +49,3 @@ def _read(path: Path, form: str, read_schema: Callable[[Path], Any], read_column
 def _unit(metadata: Any) -> str:
     value = (metadata or {}).get(b"unit", b"")
     return str(value.decode("utf-8", "replace"))
-
-
-def _values(path: Path, name: str, value: Any, is_stamp: bool) -> Array:
-    if is_stamp:
-        return seconds(np.asarray(value))
-    return real(path, name, value)

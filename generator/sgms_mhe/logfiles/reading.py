@@ -266,7 +266,10 @@ def _read_file(path: Path, mapping: LogMapping | None, least: int) -> Table:
     """Read a file of a format that its suffix tells, or else a text. Raises InputError for one that is neither."""
     reader = READERS.get(path.suffix.lower())
     try:
-        return read_text(path, mapping, least) if reader is None else reader(path)
+        if reader is None:
+            return read_text(path, mapping, least)
+        path.open("rb").close()  # a file that cannot be opened is told from one that is damaged
+        return reader(path)
     except OSError as error:
         raise InputError(path, "file", None, f"a readable log ({error.strerror or error})") from None
 

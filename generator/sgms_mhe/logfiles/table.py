@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,7 @@ class Table:
     read: Callable[[Sequence[str]], Mapping[str, NDArray[Any]]]
     row: Callable[[int], str]
     dialect: tuple[tuple[str, str], ...] = ()
-    stamped: frozenset[str] = field(default=frozenset())
+    stamped: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
     clocks: Mapping[str, str] = field(default_factory=dict)
 
@@ -77,6 +78,44 @@ class Table:
 def damage_error(path: Path, allowed: str, error: Exception) -> InputError:
     """The error of a file that its reader stumbles over."""
     return InputError(path, "file", None, f"{allowed} ({type(error).__name__}: {error})")
+
+
+@contextmanager
+def refuse_damage(path: Path, allowed: str) -> Iterator[None]:
+    """Refuse a file that its reader stumbles over in the block: readers of a damaged one do so in many ways."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise damage_error(path, allowed, error) from None
+
+
+@dataclass(frozen=True)
+class Variable:
+    """An array of a file, found and not yet read.
+
+    Attributes:
+        shape: as its values have it.
+        read: its values as real numbers; raises as its library does where they are damaged.
+        label, unit: as the file states them beside it.
+    """
+
+    shape: tuple[int, ...]
+    read: Callable[[], Array]
+    label: str = ""
+    unit: str = ""
+
+
+def table_of_variables(path: Path, form: str, allowed: str, found: Mapping[str, Variable]) -> Table:
+    """The table of a file's variables by name; `allowed`: what is wanted instead of a damaged file."""
+
+    def read(names: Sequence[str]) -> Mapping[str, Array]:
+        with refuse_damage(path, allowed):
+            return {name: found[name].read() for name in names}
+
+    columns = tuple(Column(name, v.label or name, v.unit, v.shape) for name, v in found.items())
+    return Table(form, columns, read, array_row)
 
 
 def array_row(index: int) -> str:
