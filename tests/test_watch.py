@@ -35,6 +35,7 @@ from sgms_mhe.api.watching import Followed, Replay, SampleSource, Streamed, Watc
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.evaluation.watching import TREND_POINTS, RunSummary, Trend, flags_of
 from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.logfiles.encoding import Decoder
 from sgms_mhe.logfiles.following import FollowedText
 from sgms_mhe.logfiles.reading import TEXTS, read_log
 from sgms_mhe.machine import Machine
@@ -169,6 +170,13 @@ def test_an_encoding_that_is_told_late_holds() -> None:
     content = rows(300, row)
     for encoded in (content, content.decode().encode("latin-1")):
         assert len(joined(list(followed([encoded], machine())))["force_N"]) == 300
+
+
+def test_no_character_is_lost_between_two_pieces() -> None:
+    content = f"{'# ' * 5000}µm\n"
+    for encoded in (content.encode(), content.encode("latin-1")):
+        decoder, first = Decoder(Path("log.csv"), None), encoded[:10_001]
+        assert decoder.decode(first) + decoder.decode(encoded[10_001:], ended=True, whole=True) == content
 
 
 @pytest.mark.parametrize(

@@ -103,37 +103,26 @@ class Decoder:
         if self._decoder is None:
             if len(self._waiting) < PROBE and not ended:
                 return ""
-            self._choose(self._stated or guess(self._waiting[:PROBE], whole=False))
+            self._decoder = self._choose(self._stated or guess(self._waiting[:PROBE], whole=False))
         pending, self._waiting = self._waiting, b""
+        held = self._decoder.getstate()[0]  # the beginning of a character
         try:
-            text = self._decode(pending, whole)
+            text = self._decoder.decode(pending, final=whole)
         except UnicodeDecodeError:
-            if self._stated is None and self._chosen == "utf-8" and self._plain:
-                self._choose("latin-1")  # ASCII so far, which is both
-                text = self._decode(pending, whole)
-            else:
+            if self._stated is not None or self._chosen != "utf-8" or not self._plain:
                 allowed = f'{self._chosen} text; another encoding? [log] (machine file, --log) has encoding = "..."'
                 raise InputError(self._path, "text", None, allowed) from None
+            self._decoder = self._choose("latin-1")  # ASCII so far, which is both
+            text = self._decoder.decode(held + pending, final=whole)
         self._plain = self._plain and text.isascii()
         return text
 
-    def _choose(self, encoding: str) -> None:
+    def _choose(self, encoding: str) -> codecs.IncrementalDecoder:
+        self._chosen = encoding
         try:
-            self._decoder = codecs.getincrementaldecoder(encoding)()
+            return codecs.getincrementaldecoder(encoding)()
         except LookupError:
             raise _unknown(self._path, encoding) from None
-        self._chosen = encoding
-
-    def _decode(self, content: bytes, whole: bool) -> str:
-        decoder = self._decoder
-        if decoder is None:
-            return ""
-        before = decoder.getstate()
-        try:
-            return decoder.decode(content, final=whole)
-        except UnicodeDecodeError:
-            decoder.setstate(before)
-            raise
 
 
 def _unknown(path: Path, encoding: str | None) -> InputError:
