@@ -13,22 +13,19 @@ MISSING: Final = frozenset(
 """How a missing sample is written, in lower case."""
 
 _EXPONENT: Final = r"(?:[eEdD][+-]?\d+)?"
-_PLAIN: Final = re.compile(rf"[+-]?(?:\d+[.,]?\d*|[.,]\d+){_EXPONENT}", re.ASCII)
-_GROUPED: Final = re.compile(rf"[+-]?\d{{1,3}}(?:(?:,\d{{3}})+(?:\.\d*)?|(?:\.\d{{3}})+(?:,\d*)?){_EXPONENT}", re.ASCII)
 _SPACED: Final = re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:[ '’]\d{{3}})+(?:[.,]\d*)?{_EXPONENT}", re.ASCII)
 """Groups of three digits whose mark is no decimal mark."""
 _INFINITE: Final = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE)
 _QUICK: Final = re.compile(r"-?\d+\.?\d*(?:[eE][+-]?\d+)?", re.ASCII)
 _COULD_BE_GROUPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
-_WITHOUT_GROUPS: Final = {
-    ".": re.compile(rf"[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}", re.ASCII),
-    ",": re.compile(rf"[+-]?(?:\d+,?\d*|,\d+){_EXPONENT}", re.ASCII),
-}
 _MINUS: Final = "\N{MINUS SIGN}"
-_WITH_GROUPS: Final = {
-    ".": re.compile(rf"[+-]?\d{{1,3}}(?:,\d{{3}})+(?:\.\d*)?{_EXPONENT}", re.ASCII),
-    ",": re.compile(rf"[+-]?\d{{1,3}}(?:\.\d{{3}})+(?:,\d*)?{_EXPONENT}", re.ASCII),
+_NUMBERS: Final = {
+    mark: re.compile(
+        rf"[+-]?(?:\d+[{mark}]?\d*|[{mark}]\d+|\d{{1,3}}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?){_EXPONENT}", re.ASCII
+    )
+    for mark, other in (".,", ",.")
 }
+"""Numbers by their decimal mark, with groups of three digits by the other or without."""
 
 
 def is_missing(token: str) -> bool:
@@ -47,7 +44,7 @@ def _plain(token: str) -> str:
 def is_number(token: str) -> bool:
     """Return True if a field is a number by one of the decimal marks."""
     token = _plain(token)
-    return bool(_PLAIN.fullmatch(token) or _GROUPED.fullmatch(token) or _INFINITE.fullmatch(token))
+    return any(form.fullmatch(token) for form in (*_NUMBERS.values(), _INFINITE))
 
 
 def value_of(token: str, mark: Mark) -> float:
@@ -59,14 +56,10 @@ def value_of(token: str, mark: Mark) -> float:
     token = _plain(token)
     if _INFINITE.fullmatch(token):
         return float(token)
-    other = "," if mark == "." else "."
-    if _WITHOUT_GROUPS[mark].fullmatch(token):
-        plain = token
-    elif _WITH_GROUPS[mark].fullmatch(token):
-        plain = token.replace(other, "")
-    else:
+    if not _NUMBERS[mark].fullmatch(token):
         raise ValueError(f"{token!r} is no number")
-    return float(plain.replace(mark, ".").replace("d", "e").replace("D", "e"))
+    plain = token.replace("," if mark == "." else ".", "").replace(mark, ".")
+    return float(plain.replace("d", "e").replace("D", "e"))
 
 
 def told_by(token: str) -> Mark | Literal["either"] | None:
