@@ -12,9 +12,8 @@ from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import LogContent, log_of, read_table, understand_table
 from sgms_mhe.logfiles.sources import find_missing
-from sgms_mhe.logfiles.table import Column, Table
+from sgms_mhe.logfiles.table import Array, Column, Table
 from sgms_mhe.machine import LogMapping, Machine
-from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
 
@@ -68,15 +67,11 @@ class Inspection:
 
     def _column(self, index: int) -> dict[str, Any]:
         source = self.reading.sources[index]
-        values = self.reading.columns[source.quantity.column]
-        finite = values[np.isfinite(values)]
         return {
             "name": source.quantity.column,
             "from": source.description,
             **{key: getattr(source, key) for key in _SHOWN},
-            "min": float(finite.min()),
-            "max": float(finite.max()),
-            "missing": len(values) - len(finite),
+            **_range(self.reading.columns[source.quantity.column]),
         }
 
 
@@ -120,15 +115,15 @@ class Unread:
             values = np.asarray(self.table.read([column.name])[column.name])
         except InputError:
             values = np.empty(0)
-        finite = values[np.isfinite(values)]
-        return {
-            "name": None,
-            "from": column.name,
-            "unit": column.unit or split_name(column.header)[1],
-            "min": float(finite.min()) if len(finite) else None,
-            "max": float(finite.max()) if len(finite) else None,
-            "missing": values.size - finite.size,
-        }
+        unit = column.unit or split_name(column.header)[1]
+        return {"name": None, "from": column.name, "unit": unit, **_range(values)}
+
+
+def _range(values: Array) -> dict[str, Any]:
+    """Range of a column's numbers, and how many are missing."""
+    finite = values[np.isfinite(values)]
+    least, most = (float(finite.min()), float(finite.max())) if len(finite) else (None, None)
+    return {"min": least, "max": most, "missing": values.size - finite.size}
 
 
 MOST_COLUMNS: Final = 500
@@ -148,15 +143,9 @@ def inspect_log(path: Path, machine: Machine | None, mapping: LogMapping | None)
 
 def inspect_reading(reading: LogContent, machine: Machine | None) -> Inspection:
     """Judge a reading as the commands would, going on where they stop."""
-    problems: list[str] = []
-    log: Log | None = None
+    problems: tuple[str, ...] = ()
     try:
-        log = log_of(reading, machine)
+        check_plausible(log_of(reading, machine), machine)
     except InputError as error:
-        problems.append(str(error))
-    if log is not None:
-        try:
-            check_plausible(log, machine)
-        except InputError as error:
-            problems.append(str(error))
-    return Inspection(reading, tuple(problems), reading.notes)
+        problems = (str(error),)
+    return Inspection(reading, problems, reading.notes)

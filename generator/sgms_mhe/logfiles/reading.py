@@ -25,7 +25,7 @@ from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
 from sgms_mhe.logfiles.table import Array, Column, Table
 from sgms_mhe.logfiles.text import read_text
-from sgms_mhe.logfiles.timing import Timing, check_uniform, measure_time
+from sgms_mhe.logfiles.timing import Timing, check_steps, measure_time
 from sgms_mhe.machine import OF_KIND, QUANTITIES, REQUIRED, Kind, LogMapping, Machine
 from sgms_mhe.signals.logs import JITTER, Log, advise_time_unit, check_rate
 from sgms_mhe.support.errors import InputError
@@ -200,7 +200,7 @@ def log_of(reading: LogContent, machine: Machine | None = None) -> Log:
     if machine is not None:
         check_kind(reading.path, reading.kind, [source.quantity.column for source in reading.sources], machine)
     if reading.resampling is None:
-        check_uniform(reading.path, reading.columns["time_s"], reading.timing, reading.table.row)
+        check_steps(reading.path, reading.columns["time_s"], reading.timing.step, reading.table.row)
     log = reading.log
     if machine is not None:
         check_rate(log, machine)

@@ -88,12 +88,6 @@ def check_rising(path: Path, time: Array, row: Callable[[int], str]) -> None:
         raise InputError(path, f"{row(first)}, column time_s", value, allowed)
 
 
-def check_uniform(path: Path, time: Array, timing: Timing, row: Callable[[int], str]) -> None:
-    """Refuse uneven time, with the first row that is off."""
-    if not timing.uniform:
-        check_steps(path, time, timing.step, row)
-
-
 def check_steps(path: Path, time: Array, step: float, row: Callable[[int], str]) -> None:
     """Refuse time whose steps are not `step` [s] within what a log may have, with the first row that is off."""
     steps = np.diff(time)
