@@ -73,7 +73,7 @@ def check_plausible(log: Log, machine: Machine | None, *, has_mass: bool = True)
     log = readings(log)
     _check_constant(log)
     _check_copies(log)
-    motion = _motion(log, samples)
+    motion = _Motion(log, samples)
     if machine is not None:
         _check_speed(log, machine, motion)
     _check_derivatives(log, samples)
@@ -182,7 +182,7 @@ def _check_swapped(log: Log, machine: Machine, motion: _Motion) -> None:
     if _inertia(motion, machine) != 0.0 or _braking(log, motion) != 0:
         return
     other = replace(log, position_m=log.force_N, force_N=log.position_m)
-    there = _motion(other, machine.sampling.samples_per_update)
+    there = _Motion(other, machine.sampling.samples_per_update)
     inertia, units, moved = _inertia(there, machine), log.units, machine.plant.moved
     if 1.0 / NEAR <= inertia / moved <= NEAR and _braking(other, there) > 0:
         seen = f"no mass and no friction; turned round {inertia:.3g} {units.mass} and friction that brakes"
@@ -204,10 +204,10 @@ class _Motion:
     force here. Over an interval neither noise nor quantisation count for much.
     """
 
-    def __init__(self, position: Array, force: Array, samples: int, rate: float) -> None:
-        nodes, per_second = position[::samples], rate / samples
+    def __init__(self, log: Log, samples: int) -> None:
+        nodes, per_second = log.position_m[::samples], log.rate / samples
         acceleration = np.diff(nodes, n=2) * per_second**2
-        mean = triangular_mean(force, samples)
+        mean = triangular_mean(log.force_N, samples)
         sound = np.isfinite(acceleration) & np.isfinite(mean)
         sound[sound] = _is_usual(acceleration[sound])
         self.position, self.velocity = nodes[1:-1][sound], (nodes[2:] - nodes[:-2])[sound] * per_second / 2.0
@@ -241,10 +241,6 @@ def _samples(log: Log, machine: Machine | None) -> int:
     return machine.sampling.samples_per_update if machine is not None else max(1, round(INTERVAL * log.rate))
 
 
-def _motion(log: Log, samples: int) -> _Motion:
-    return _Motion(log.position_m, log.force_N, samples, log.rate)
-
-
 @np.errstate(over="ignore", invalid="ignore")
 def _derivative_sizes(log: Log, samples: int) -> dict[str, float]:
     """Sizes of the recorded velocity and acceleration, each over what the position says, where the two are alike."""
@@ -271,7 +267,8 @@ def _check_derivatives(log: Log, samples: int) -> None:
     for name, ratio in _derivative_sizes(log, samples).items():
         if 1.0 / APART <= ratio <= APART:
             continue
-        remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else _unit_near(log, name, ratio) or "scale = ..."
+        units = [f'unit = "{unit}"' for unit in _units_near(log, name, ratio)]
+        remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else next(iter(units), "scale = ...")
         own, position = log.units.named(name), log.units.named("position_m")
         allowed = f'{own} as {position} has it: [log] (machine file, --log) {own} = {{ variable = "...", {remedy} }}'
         raise _implausible(log, f"column {own}", f"{ratio:.3g} times the rate of change of {position}", allowed)
@@ -298,11 +295,10 @@ def note_speed_scale(log: Log) -> str:
     return f"{own} is {ratio:.3g} times the rate of change of {position}: one of them, or the time, has another scale"
 
 
-def _unit_near(log: Log, name: str, ratio: float) -> str:
-    """The unit in which a column would be right that is `ratio` times what it should be; empty where there is none."""
+def _units_near(log: Log, name: str, ratio: float) -> list[str]:
+    """The units in which a column would be right that is `ratio` times what it should be."""
     units = _units(log, name).items()
-    found = next((unit for unit, (factor, _) in units if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR), None)
-    return "" if found is None else f'unit = "{found}"'
+    return [unit for unit, (factor, _) in units if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR]
 
 
 def _inertia(motion: _Motion, machine: Machine | None) -> float:
@@ -383,11 +379,7 @@ def _remedy(log: Log, machine: Machine, ratio: float) -> str:
         factor = _units(log, "position_m")[unit][0]
         if 1 / NEAR <= ratio / factor <= NEAR and fastest * factor <= highest:
             found.append(log_line(position, variable="...", unit=unit))
-    found += [
-        log_line(force, variable="...", unit=unit)
-        for unit, (factor, _) in _units(log, "force_N").items()
-        if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR
-    ]
+    found += [log_line(force, variable="...", unit=unit) for unit in _units_near(log, "force_N", ratio)]
     found.append(_scale_force(log, float(f"{1.0 / ratio:.3g}")))
     known = f"the log determines {units.inert} over scale alone, {ratio * machine.plant.moved:.3g} {units.mass}"
     return f"[log] (machine file, --log) has {' or '.join(found)}: {known}"
