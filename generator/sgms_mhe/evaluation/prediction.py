@@ -46,12 +46,8 @@ class PredictedFriction(Shown):
     @property
     def columns(self) -> dict[str, Array]:
         """Columns (n) of the prediction's file, as this kind of axis names them."""
-        columns = {
-            "time_s": self.time_s,
-            "friction_measured_N": self.friction_measured_N,
-            "friction_N": self.friction_N,
-        }
-        return {OF_KIND[self.kind].named(name): values for name, values in columns.items()}
+        names = ("time_s", "friction_measured_N", "friction_N")
+        return {OF_KIND[self.kind].named(name): getattr(self, name) for name in names}
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame with the columns of the prediction's file, a row per sample."""

@@ -86,16 +86,8 @@ class Machine(Shown):
     def as_dict(self, *, by_alias: bool = False) -> dict[str, Any]:
         """The resolved content as plain data; `by_alias`: keys as a machine file spells them (`lambda`)."""
         units = self.plant.units
-        tables = {
-            "plant": self.plant,
-            "friction": self.friction,
-            "sampling": self.sampling,
-            "estimator": self.estimator,
-            "compensation": self.compensation,
-            "code": self.code,
-            "diagnosis": self.diagnosis,
-        }
-        content = {key: table.model_dump(mode="json", by_alias=by_alias) for key, table in tables.items()}
+        tables = ("plant", "friction", "sampling", "estimator", "compensation", "code", "diagnosis")
+        content = {key: getattr(self, key).model_dump(mode="json", by_alias=by_alias) for key in tables}
         content["plant"] = {key: value for key, value in content["plant"].items() if value is not None}
         estimator = content["estimator"]
         estimator["parameters"] = [units.named(name) for name in estimator["parameters"]]

@@ -77,7 +77,8 @@ def toml_tables(name: str, table: Mapping[str, Any], notes: Mapping[str, str] = 
         table: values by key.
         notes: comments beside values, by dotted key.
     """
-    plain = {key: entry for key, entry in table.items() if not isinstance(entry, Mapping) or _has_inline_tables(name)}
+    is_inline = name != "estimator"  # tables within it stand on one line
+    plain = {key: entry for key, entry in table.items() if not isinstance(entry, Mapping) or is_inline}
     lines = toml_table(f"[{name}]", plain, notes=notes_of_table(notes, name)) if plain else []
     for key, entry in table.items():
         if key not in plain and entry:
@@ -88,11 +89,6 @@ def toml_tables(name: str, table: Mapping[str, Any], notes: Mapping[str, str] = 
 def notes_of_table(notes: Mapping[str, str], table: str) -> dict[str, str]:
     """Return the comments of a table by its own keys."""
     return {key.removeprefix(f"{table}."): note for key, note in notes.items() if key.startswith(f"{table}.")}
-
-
-def _has_inline_tables(name: str) -> bool:
-    """Return True if tables within this one stand on one line."""
-    return name != "estimator"
 
 
 def toml_machine(content: Mapping[str, Any]) -> list[str]:

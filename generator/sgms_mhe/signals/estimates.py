@@ -57,11 +57,7 @@ class Estimates(Shown):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Columns (u,) of the estimates' file, as this kind of axis names them."""
         names = self.parameter_names
-        columns: dict[str, NDArray[Any]] = {
-            "time_s": self.time_s,
-            "friction_measured_N": self.friction_measured_N,
-            "friction_N": self.friction_N,
-        }
+        columns = {name: getattr(self, name) for name in ("time_s", "friction_measured_N", "friction_N")}
         columns |= {f"z_{i + 1}_m": z for i, z in enumerate(self.z_m.T)}
         columns |= dict(zip(names, self.parameters.T, strict=True))
         columns |= {f"std_{name}": std for name, std in zip(names, self.std.T, strict=True)}
