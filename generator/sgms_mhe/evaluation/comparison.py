@@ -26,7 +26,7 @@ from sgms_mhe.reference import estimate_reference
 from sgms_mhe.reference.plan import motion_of
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.signals.status import FLAGS
+from sgms_mhe.signals.status import FLAGS, select_flags
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -126,20 +126,13 @@ def compare_estimates(
     precision, units = machine.code.precision, machine.plant.units
     tolerance = TOLERANCES[precision]
     everywhere = np.ones(len(reference), dtype=np.bool_)
+    rows = [("friction_N", generated.friction_N, reference.friction_N, tolerance.friction)]
+    deflections = zip(generated.z_m.T, reference.z_m.T, strict=True)
+    rows += [(f"z_{i + 1}_m", ours, theirs, tolerance.deflection) for i, (ours, theirs) in enumerate(deflections)]
     quantities = [
-        _quantity(
-            units.named("friction_N"),
-            generated.friction_N,
-            reference.friction_N,
-            _range(reference.friction_N),
-            tolerance.friction,
-            everywhere,
-        )
+        _quantity(units.named(name), ours, theirs, _range(theirs), allowed, everywhere)
+        for name, ours, theirs, allowed in rows
     ]
-    for i, (ours, theirs) in enumerate(zip(generated.z_m.T, reference.z_m.T, strict=True)):
-        quantities.append(
-            _quantity(units.named(f"z_{i + 1}_m"), ours, theirs, _range(theirs), tolerance.deflection, everywhere),
-        )
     flags = generated.status ^ reference.status
     flags[(flags != 0) & (np.minimum(generated.status, reference.status) < 0)] = -1  # refused is no flag: all differ
     decided = flags if undecided is None else flags & ~undecided
@@ -203,8 +196,7 @@ def _range(values: Array) -> float:
 
 
 def _bounds(estimates: Estimates) -> int:
-    status = estimates.status
-    return int(np.count_nonzero((status >= 0) & (status & FLAGS["bound"] != 0)))
+    return int(np.count_nonzero(select_flags(estimates.status)["bound"]))
 
 
 def _quantity(

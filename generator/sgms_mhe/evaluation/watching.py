@@ -164,8 +164,7 @@ class RunSummary:
     def recent(self) -> Array:
         """Newest updates (r, 4): time [s], friction measured, NaN where it was not, and estimated, innovation [N]."""
         rows = np.array(self._recent).reshape(-1, 5)
-        rows[rows[:, 4] == 0.0, 1] = np.nan
-        rows[rows[:, 4] == 0.0, 3] = np.nan
+        rows[np.ix_(rows[:, 4] == 0.0, [1, 3])] = np.nan
         return rows[:, :4]
 
     @property

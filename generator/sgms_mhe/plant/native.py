@@ -369,7 +369,7 @@ class NativeAxis:
             if index < 0:
                 raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
             for j, entry in enumerate(own):
-                senders[entry].append(self._effect_parameter(index, j))
+                senders[entry].append(partial(self._c.axis_set_effect, self._memory, index, j))
         if has_table:
             table = (ctypes.c_double * count)()
             self._kept.append(table)
@@ -406,9 +406,6 @@ class NativeAxis:
         for name, number in [*numbers.items()]:
             send = partial(numbers.__setitem__, name)
             self._declare(f"{label}.{name}", number, send, effect_limits(definition.parameter(name)))
-
-    def _effect_parameter(self, index: int, j: int) -> Callable[[float], None]:
-        return lambda value: self._c.axis_set_effect(self._memory, index, j, value)
 
     def _address(self, name: str, value: float | Sequence[float]) -> list[tuple[_Parameter, float]]:
         names = [f"{name}_{i + 1}" for i in range(self._arrays[name])] if name in self._arrays else [name]

@@ -92,7 +92,7 @@ class Motion:
             steps = np.convolve(steps, np.full(width, 1.0 / width))
         way = np.cumsum(steps)
         # The sum's rounding is spread over the way: a jump at its end would be a kick, and would pile up over moves.
-        self._append(self.position + way * (distance / way[-1]))
+        self._parts.append(self.position + way * (distance / way[-1]))
         self._parts[-1][-1] = self.position = target_m
 
     def move_by(self, distance_m: float, velocity: float, acceleration: float, jerk: float) -> None:
@@ -101,7 +101,7 @@ class Motion:
 
     def wait(self, seconds: float) -> None:
         """Stand still."""
-        self._append(np.full(round(seconds * self.rate), self.position))
+        self._parts.append(np.full(round(seconds * self.rate), self.position))
 
     def swing(self, amplitude_m: float, frequency_Hz: float, cycles: int = 1) -> None:
         """Sine about the position; its amplitude grows over the first half cycle and decays over half an added one."""
@@ -109,7 +109,7 @@ class Motion:
         t = np.arange(1, n + 1) / n * (cycles + 1)
         fade = np.minimum(1.0, np.minimum(2.0 * t, 2.0 * (cycles + 1 - t)))
         smooth = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2)
-        self._append(self.position + amplitude_m * smooth * np.sin(2.0 * np.pi * t))
+        self._parts.append(self.position + amplitude_m * smooth * np.sin(2.0 * np.pi * t))
         self._parts[-1][-1] = self.position
 
     def loops(self, amplitudes_m: tuple[float, ...], velocity: float, acceleration: float, jerk: float) -> None:
@@ -128,9 +128,6 @@ class Motion:
     def trajectory(self, name: str) -> Trajectory:
         """Return the trajectory that has been put together so far."""
         return Trajectory(name, self.rate, np.concatenate(self._parts))
-
-    def _append(self, positions: Array) -> None:
-        self._parts.append(positions)
 
 
 def _move_times(distance: float, velocity: float, acceleration: float, jerk: float) -> tuple[float, float, float]:

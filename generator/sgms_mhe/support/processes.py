@@ -101,7 +101,7 @@ def run_tasks(tasks: Sequence[Task], place: WorkerSlot) -> Iterator[Outcome]:
         yield from _on_cluster(tasks, place.scheduler, place.limit_s)
     elif place.jobs < 1:
         for task in tasks:
-            yield _outcome(task, answer(task.call, task.arguments))
+            yield Outcome(task, *answer(task.call, task.arguments))
     else:
         yield from _on_host(tasks, place)
 
@@ -129,10 +129,6 @@ def results(tasks: Sequence[Task], place: WorkerSlot, told: Callable[[int, int],
 
 class TaskError(Exception):
     """A task failed whose result the rest cannot do without."""
-
-
-def _outcome(task: Task, answer: Answer) -> Outcome:
-    return Outcome(task, *answer)
 
 
 # --- one child --------------------------------------------------------------------------------------------------
@@ -239,7 +235,7 @@ class Crew:
             if child.spent:
                 child.end()
                 self._forget(child)
-            return _outcome(task, answer)
+            return Outcome(task, *answer)
         return Outcome(task, None, f"the process that worked on it {how}, {ATTEMPTS} times")
 
     def close(self) -> None:
