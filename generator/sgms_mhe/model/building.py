@@ -15,14 +15,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import MEAN_ACCELERATION, SIGNAL_NAMES, FreeParameter, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, Stage, effect_definition
 from sgms_mhe.model.effects.definition import READ_AS, ReadAs
-from sgms_mhe.model.friction import (
-    LEAST_REST,
-    WIDE_SWITCH,
-    FrictionSymbols,
-    SmoothLaw,
-    add_friction,
-    declare_elements,
-)
+from sgms_mhe.model.friction import LEAST_REST, WIDE_SWITCH, FrictionSymbols, add_friction, declare_elements
 from sgms_mhe.model.place_force import add_place_force
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.model.switching import check_switching
@@ -300,15 +293,9 @@ def _prompt_drive(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
     return prompt
 
 
-def _smoothing(machine: Machine) -> SmoothLaw | None:
-    """How elements go over from sticking to sliding; None: they switch."""
-    soft = machine.friction.smoothing
-    return None if soft is None else SmoothLaw(soft.zeta, soft.lambda_, soft.gamma)
-
-
 def _bare_axis(machine: Machine, *, estimates: bool = False) -> SymbolicAxis:
     """The axis before anything contributes to it; `estimates`: with the signals that an estimator has besides."""
-    friction, sampling, smoothing = machine.friction, machine.sampling, _smoothing(machine)
+    friction, sampling, smoothing = machine.friction, machine.sampling, machine.friction.smoothing
     return SymbolicAxis(
         machine.plant.moved,
         friction.coulomb,
@@ -359,7 +346,7 @@ def build_model(machine: Machine, *, physical: bool = False) -> Model:
     axis.mean_curve = _sum_ahead(effects, axis, "curve")
     axis.acceleration = acceleration
     _contribute(effects, axis, "level")
-    elements = add_friction(axis, symbols, _smoothing(machine), WIDE_SWITCH if physical else 0.0)
+    elements = add_friction(axis, symbols, friction.smoothing, WIDE_SWITCH if physical else 0.0)
     _contribute(effects, axis, "force", "motor")
     if not physical and machine.estimator.disturbance.force > 0.0:
         add_place_force(axis, machine)

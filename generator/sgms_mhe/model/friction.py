@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from sgms_mhe.machine import Smoothing
 from sgms_mhe.model.axis import StateSpec, SymbolicAxis
 
 LEAST_REST = 0.02
@@ -30,15 +31,6 @@ class FrictionSymbols:
     viscous: ca.SX
     stribeck_ratio: ca.SX
     stribeck_velocity: ca.SX
-
-
-@dataclass(frozen=True)
-class SmoothLaw:
-    """The tolerances of equation (3): zeta, lambda, gamma."""
-
-    zeta: float
-    lambda_: float
-    gamma: float
 
 
 @dataclass(frozen=True)
@@ -68,7 +60,7 @@ def whole_shares(fraction: Sequence[float], nominal: Sequence[float]) -> tuple[l
     return [(rest if i == largest else value) / total for i, value in enumerate(fraction)], total
 
 
-def window(r: ca.SX, smoothing: SmoothLaw) -> ca.SX:
+def window(r: ca.SX, smoothing: Smoothing) -> ca.SX:
     """etaA of equation (3), the window in the relative deflection r that starts slip near |r| = zeta.
 
     The two hyperbolic tangents act on opposite signs of r. Where they do not overlap within double precision
@@ -120,7 +112,7 @@ def declare_elements(
 
 
 def add_friction(
-    axis: SymbolicAxis, symbols: FrictionSymbols, smoothing: SmoothLaw | None, switch_width: float = 0.0
+    axis: SymbolicAxis, symbols: FrictionSymbols, smoothing: Smoothing | None, switch_width: float = 0.0
 ) -> Elements:
     """Give the declared elements their rates, and add their forces and the viscous force to the axis.
 
