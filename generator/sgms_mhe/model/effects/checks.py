@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.machine.units import CATALOGUE_ENDS, OF_KIND, PURE_NUMBERS, is_pure_number, suffix_of
-from sgms_mhe.model.axis import SIGNAL_NAMES, SymbolicAxis
+from sgms_mhe.model.axis import SETTABLE, SIGNAL_NAMES, SymbolicAxis
 from sgms_mhe.model.effects.causes import MOVES
 from sgms_mhe.model.effects.definition import STAGES, EffectDefinition
 from sgms_mhe.model.effects.excitation import MEASURES
@@ -140,20 +140,8 @@ def _contribution(definition: EffectDefinition) -> Iterator[DefinitionFault]:
 
 def _quantities(axis: SymbolicAxis) -> ca.SX:
     """All that an effect may change of an axis."""
-    return ca.vertcat(
-        axis.position,
-        axis.velocity,
-        axis.acceleration,
-        axis.force,
-        axis.output,
-        axis.velocity_ratio,
-        axis.coulomb_factor,
-        axis.viscous_factor,
-        axis.micro_viscous,
-        axis.level_force,
-        axis.engagement,
-        axis.stribeck_level,
-    )
+    signals = axis.position, axis.velocity, axis.acceleration, axis.force
+    return ca.vertcat(*signals, *(getattr(axis, name) for name in SETTABLE))
 
 
 def _largest_change(
