@@ -168,15 +168,9 @@ class CompiledModel:
         Raises:
             ValueError: no whole number of integration steps.
         """
-        done = self._library.sgms_predict(
-            ctypes.c_long(len(w)),
-            ctypes.c_void_p(w.ctypes.data),
-            ctypes.c_void_p(theta.ctypes.data),
-            ctypes.c_void_p(state.ctypes.data),
-            ctypes.c_void_p(sensitivity.ctypes.data),
-            None if force is None else ctypes.c_void_p(force.ctypes.data),
-            None if slopes is None else ctypes.c_void_p(slopes.ctypes.data),
-        )
+        arrays = (w, theta, state, sensitivity, force, slopes)
+        pointers = [None if array is None else ctypes.c_void_p(array.ctypes.data) for array in arrays]
+        done = self._library.sgms_predict(ctypes.c_long(len(w)), *pointers)
         if done != 0:
             raise ValueError(f"{len(w)} samples are no whole number of steps of {self.machine.sampling.merged}")
 
@@ -225,16 +219,14 @@ class CompiledEstimator:
 
     def estimate(self, signals: Signals, *, progress: Progress | None = None) -> Estimates:
         """Estimate from aligned signals (the Python signal chain), prepare and feedback."""
-        run = self._run(self.start(), _arrays(signals), len(signals), "tasks", progress, delay=signals.delay)
+        run = self._run(self.start(), signals, "tasks", progress)
         return self.estimates_of(run, signals.time[self._samples :: self._samples])
 
     def estimate_log(
         self, log: Log, *, mode: Literal["tasks", "tick"] = "tick", progress: Progress | None = None
     ) -> Estimates:
         """Estimate from position and force with the package's own signal chain; `extra` holds `compensation_N` (n)."""
-        run = self._run(
-            self.start(), {"position": log.position_m, "force": log.force_N}, len(log.time_s), mode, progress
-        )
+        run = self._run(self.start(), log, mode, progress)
         return self.estimates_of(run, log.time_s[self._samples :: self._samples])
 
     def running(self) -> RunningEstimator:
@@ -244,19 +236,18 @@ class CompiledEstimator:
     def _run(
         self,
         memory: ctypes.Array[ctypes.c_char],
-        arrays: dict[str, NDArray[Any]],
-        samples: int,
+        piece: Log | Signals,
         mode: str,
-        progress: Progress | None,
-        delay: float = 0.0,
+        progress: Progress | None = None,
     ) -> Replay:
+        samples, delay = len(piece), 0.0 if isinstance(piece, Log) else piece.delay
         total = max(0, (samples - 1) // self._samples)
         rows = np.zeros((total + 1, self._columns))
         status = np.zeros(total + 1, dtype=np.int32)
         compensation = np.zeros(samples)
         held = {
             name: np.ascontiguousarray(a, dtype=np.uint8 if name == "valid" else np.float64)
-            for name, a in arrays.items()
+            for name, a in _arrays(piece).items()
         }
         done = 0
         chunk = max(samples, 1) if progress is None else _CHUNK * self._samples
@@ -312,12 +303,8 @@ class RunningEstimator:
         Args:
             piece: position and force, as of `estimate_log`, or aligned signals, as of `estimate`; of any length.
         """
-        arrays, mode, delay, time = (
-            ({"position": piece.position_m, "force": piece.force_N}, "tick", 0.0, piece.time_s)
-            if isinstance(piece, Log)
-            else (_arrays(piece), "tasks", piece.delay, piece.time)
-        )
-        run = self._estimator._run(self._memory, arrays, len(piece), mode, None, delay=delay)
+        mode, time = ("tick", piece.time_s) if isinstance(piece, Log) else ("tasks", piece.time)
+        run = self._estimator._run(self._memory, piece, mode)
         samples = self._estimator._samples
         # Updates are at the samples number 1, 2, ... times `samples`, counted from 0.
         first = samples if self._taken == 0 else -self._taken % samples
@@ -334,15 +321,17 @@ class RunningEstimator:
         ctypes.memmove(self._memory, memory, len(memory))
 
 
-def _arrays(signals: Signals) -> dict[str, NDArray[Any]]:
-    """Aligned signals as the replay takes them."""
+def _arrays(signals: Log | Signals) -> dict[str, NDArray[Any]]:
+    """Position and force, or aligned signals, as the replay takes them."""
+    if isinstance(signals, Log):
+        return {"position": signals.position_m, "force": signals.force_N}
     return {
         "position": signals.position,
         "force": signals.force,
         "velocity": signals.velocity,
         "acceleration": signals.acceleration,
         "friction": signals.friction,
-        "valid": signals.valid.astype(np.uint8),
+        "valid": signals.valid,
     }
 
 
