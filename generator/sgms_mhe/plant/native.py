@@ -205,12 +205,7 @@ class NativeAxis:
         friction, limits = machine.friction, base_limits()
         # Of a machine file that says nothing of it: for a plant that obeys the other law.
         smoothing = friction.smoothing or Smoothing()
-        plant = {
-            "mass": machine.plant.moved,
-            "zeta": smoothing.zeta,
-            "lambda": smoothing.lambda_,
-            "gamma": smoothing.gamma,
-        }
+        plant = {"mass": machine.plant.moved} | smoothing.model_dump(by_alias=True)
         plant |= {
             name: getattr(friction, name) for name in ("viscous", "coulomb", "stribeck_ratio", "stribeck_velocity")
         }
@@ -337,7 +332,7 @@ class NativeAxis:
 
     def _setting(self, name: str, i: int = 0) -> Callable[[float], None]:
         offset, _ = self._library.settings[name]
-        return lambda value: self._c.axis_set(self._memory, offset + i, value)
+        return partial(self._c.axis_set, self._memory, offset + i)
 
     def _declare(self, name: str, value: float, send: Callable[[float], None], limits: Limits) -> None:
         self._numbers[name] = parameter = _Parameter(name, value, send, limits)
