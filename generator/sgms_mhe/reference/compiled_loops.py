@@ -51,22 +51,10 @@ class CompiledLoops:
                 _pointer(offsets[part]),
                 ctypes.c_longlong(plan.steps),
                 ctypes.c_double(plan.h),
-                _pointer(plan.start),
-                _pointer(plan.end),
-                _pointer(plan.substeps),
-                _pointer(plan.cut),
-                _pointer(plan.piece_substeps),
+                *map(_pointer, (plan.start, plan.end, plan.substeps, plan.cut, plan.piece_substeps)),
                 ctypes.c_longlong(plan.stairs),
-                _pointer(plan.stair),
-                _pointer(plan.stair_substeps),
-                _pointer(plan.slide),
-                _pointer(packed),
-                _pointer(x[part]),
-                _pointer(theta),
-                _pointer(x1[part]),
-                _pointer(A[part]),
-                _pointer(B[part]),
-                _pointer(inner_w[part]),
+                *map(_pointer, (plan.stair, plan.stair_substeps, plan.slide, packed)),
+                *map(_pointer, (x[part], theta, x1[part], A[part], B[part], inner_w[part])),
                 *(_pointer(array[part]) for array in inner),
             )
 
@@ -81,15 +69,8 @@ class CompiledLoops:
         """Output and its sensitivities at nodes: x (n, n_x), w (n, 5)."""
         count, n_x, n_p = len(x), self._model.n_x, self._model.n_p
         y, C, D = np.empty(count), np.empty((count, n_x)), np.empty((count, n_p))
-        self._library.sgms_reference_outputs(
-            ctypes.c_longlong(count),
-            _pointer(x := np.ascontiguousarray(x)),
-            _pointer(w := np.ascontiguousarray(w)),
-            _pointer(theta := np.ascontiguousarray(theta)),
-            _pointer(y),
-            _pointer(C),
-            _pointer(D),
-        )
+        given = [np.ascontiguousarray(array) for array in (x, w, theta)]
+        self._library.sgms_reference_outputs(ctypes.c_longlong(count), *map(_pointer, (*given, y, C, D)))
         return Outputs(y, C, D)
 
     @cached_property
