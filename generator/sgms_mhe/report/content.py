@@ -15,7 +15,8 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.learned import learned_block
-from sgms_mhe.report.ranking import NAMED, bar_width, explained_force, ranked_scores, score_rounds, score_rows
+from sgms_mhe.report.pieces import bar_width, force_bars, tile
+from sgms_mhe.report.ranking import NAMED, explained_force, ranked_scores, score_rounds, score_rows
 from sgms_mhe.report.rivals import InPlace, open_questions, rival_blocks, rivals_by_cause
 from sgms_mhe.report.series import View
 from sgms_mhe.report.units import axis_units, force, force_suffix, percent, plain, probability, quantity, split_name
@@ -250,60 +251,29 @@ def _next(d: Diagnosis) -> dict[str, str] | None:
 
 
 def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
-    rms = d.rms
-    tiles = []
+    before, after = d.rms.held_out_before, d.rms.held_out_after
     if d.extended is not None:
-        low, high = d.gain_interval_N
-        tiles.append(
-            {
-                "label": "Residual, data kept from the fit",
-                "before": force(rms.held_out_before).removesuffix(force_suffix()),
-                "value": force(rms.held_out_after),
-                "kind": "after",
-                "note": f"RMS, {relative_change(rms.held_out_before, rms.held_out_after)}",
-            }
-        )
-        tiles.append(
-            {
-                "label": f"{capital(axis_units().push)} newly explained there",
-                "before": "",
-                "value": between(low, high),
-                "kind": "",
-                "note": "RMS, 95 % interval",
-            }
-        )
+        push = f"{capital(axis_units().push)} newly explained there"
+        tiles = [
+            _change("Residual, data kept from the fit", before, after, "RMS, "),
+            tile(push, between(*d.gain_interval_N), "RMS, 95 % interval"),
+        ]
     else:
-        tiles.append(
-            {
-                "label": "Residual of the simulation",
-                "before": "",
-                "value": force(rms.held_out_before),
-                "kind": "before" if d.verdict == "unexplained" else "",
-                "note": "RMS on data kept from the fit",
-            }
-        )
-    ratio = rms.held_out_after / d.noise_floor_N if d.noise_floor_N > 0.0 else math.nan
-    tiles.append(
-        {
-            "label": "Noise of the measurement",
-            "before": "",
-            "value": force(d.noise_floor_N),
-            "kind": "",
-            "note": f"RMS; what is left is {plain(ratio, 3)} times that" if math.isfinite(ratio) else "RMS",
-        }
-    )
+        kind = "before" if d.verdict == "unexplained" else ""
+        tiles = [tile("Residual of the simulation", force(before), "RMS on data kept from the fit", kind)]
+    ratio = after / d.noise_floor_N if d.noise_floor_N > 0.0 else math.nan
+    note = f"RMS; what is left is {plain(ratio, 3)} times that" if math.isfinite(ratio) else "RMS"
+    tiles.append(tile("Noise of the measurement", force(d.noise_floor_N), note))
     if gain is not None:
-        tiles.append(
-            {
-                "label": "Estimator on a log it has not seen",
-                "before": force(gain.base.predicted_rms_N).removesuffix(force_suffix()),
-                "value": force(gain.extended.predicted_rms_N),
-                "kind": "after",
-                "note": "error of predicted friction, RMS, "
-                + relative_change(gain.base.predicted_rms_N, gain.extended.predicted_rms_N),
-            }
-        )
+        errors = (gain.base.predicted_rms_N, gain.extended.predicted_rms_N)
+        tiles.append(_change("Estimator on a log it has not seen", *errors, "error of predicted friction, RMS, "))
     return tiles
+
+
+def _change(label: str, before: float, after: float, note: str) -> dict[str, str]:
+    """A tile of a force that was another one before."""
+    note += relative_change(before, after)
+    return tile(label, force(after), note, "after", force(before).removesuffix(force_suffix()))
 
 
 def _cause(d: Diagnosis, c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
@@ -395,18 +365,14 @@ def _coordinate(key: str) -> str:
     return {"after_reversal": "the way since a reversal"}.get(key, key)
 
 
-def _gain_rows(d: Diagnosis) -> list[dict[str, Any]]:
+def _gain_rows(d: Diagnosis) -> list[dict[str, str | float]]:
     rows = [("kept from the fit, machine file as it is", "b", d.rms.held_out_before)]
     if d.extended is not None:
         rows.append(("kept from the fit, extended", "a", d.rms.held_out_after))
     rows.append(("all other data, machine file as it is", "b", d.rms.before))
     if d.extended is not None:
         rows.append(("all other data, extended", "a", d.rms.after))
-    most = _largest_rms(d)
-    return [
-        {"words": capital(words), "kind": kind, "value": force(value), "width": bar_width(value, most)}
-        for words, kind, value in rows
-    ]
+    return force_bars(rows, _largest_rms(d))
 
 
 def _gain_note(d: Diagnosis) -> str:
@@ -434,10 +400,7 @@ def _estimator(gain: EstimatorGain) -> dict[str, Any]:
     low, high = gain.reduction_interval
     after = {p.name: p for p in gain.extended.parameters}
     return {
-        "rows": [
-            {"words": capital(words), "kind": kind, "value": force(value), "width": bar_width(value, most)}
-            for words, kind, value in rows
-        ],
+        "rows": force_bars(rows, most),
         "note": f"Generated, compiled and run on {gain.source or 'a log'} ({plain(gain.duration_s)} s) that no fit has "
         "seen. Predicted: what the estimator puts out at every sample before the force measured there is used; it is "
         f"what friction compensation feeds forward. Its error falls by {percent(gain.reduction)} "

@@ -13,6 +13,7 @@ from sgms_mhe import __version__
 from sgms_mhe.diagnosis.result import Standing
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.report.courses import Mark, drawn
+from sgms_mhe.report.pieces import tile
 from sgms_mhe.report.units import PrintedValue, quantity, split_name, use_units
 from sgms_mhe.report.words import SIGNS, base_words, capital, relative_change
 
@@ -209,33 +210,16 @@ def _tiles(
     left: int,
     open_: Mapping[str, int],
 ) -> list[dict[str, str]]:
-    by_chance = 0.01 * judged
+    each = ", ".join(f"{count} {verdict}" for verdict, count in open_.items())
+    chance = f"about {0.01 * judged:.1g} of them outside by chance" if judged else "too few logs or axes for bands"
+    reasons = "each with its reason below" if failed else "every row has its result"
+    out = f"with {left} numbers" if gone else "all in band, none moves"
     return [
-        {"label": "Logs", "value": f"{len(logs)}", "kind": "", "note": f"of {len(axes)} axes"},
-        {
-            "label": "Failed",
-            "value": f"{len(failed)}",
-            "kind": "bad" if failed else "",
-            "note": "each with its reason below" if failed else "every row has its result",
-        },
-        {
-            "label": "Open",
-            "value": f"{sum(open_.values())}",
-            "kind": "before" if open_ else "",
-            "note": ", ".join(f"{count} {verdict}" for verdict, count in open_.items()) or "every result holds",
-        },
-        {
-            "label": "Axes that stand out",
-            "value": f"{len(gone)}",
-            "kind": "before" if gone else "",
-            "note": f"with {left} numbers" if gone else "all in band, none moves",
-        },
-        {
-            "label": "Numbers held against a band",
-            "value": f"{judged}",
-            "kind": "",
-            "note": f"about {by_chance:.1g} of them outside by chance" if judged else "too few logs or axes for bands",
-        },
+        tile("Logs", f"{len(logs)}", f"of {len(axes)} axes"),
+        tile("Failed", f"{len(failed)}", reasons, "bad" if failed else ""),
+        tile("Open", f"{sum(open_.values())}", each or "every result holds", "before" if open_ else ""),
+        tile("Axes that stand out", f"{len(gone)}", out, "before" if gone else ""),
+        tile("Numbers held against a band", f"{judged}", chance),
     ]
 
 

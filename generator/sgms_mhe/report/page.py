@@ -99,8 +99,7 @@ def write_refusal_report(sentence: str, machine: Machine, log: Log, out_dir: str
     path.parent.mkdir(parents=True, exist_ok=True)
     with use_units(machine.plant.units):
         page, drawn = content.refusal(sentence, machine, log.source), log_plots(log)
-        write_text(path, _html("refusal.html.jinja", page, drawn))
-    return path
+        return _write_page(path, "refusal.html.jinja", page, drawn)
 
 
 def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None, tell: Progress) -> Path:
@@ -118,13 +117,12 @@ def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None
         save_figure(folder / name, draw())
     write_extended(diagnosis, folder)
     tell("report.html", 0.8)
-    path = folder / "report.html"
     # Last: where it is, everything that it links to is.
     page = content.page(diagnosis, folder, shown, rivals, estimator, list(drawings))
     drawn = plots(diagnosis, shown, rivals)
     if diagnosis.learned is not None:
         drawn |= learned_plots(diagnosis.learned)
-    write_text(path, _html("report.html.jinja", page, drawn))
+    path = _write_page(folder / "report.html", "report.html.jinja", page, drawn)
     tell("report.html", 1.0)
     return path
 
@@ -147,17 +145,16 @@ def write_fleet_report(
     path = Path(out_dir) / "fleet.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     page = fleet_content(verb, table, logs, courses)
-    write_text(path, _html("fleet.html.jinja", page, {}, style="fleet.css"))
-    return path
+    return _write_page(path, "fleet.html.jinja", page, {}, style="fleet.css")
 
 
 def write_watch_page(path: Path, watched: Watched) -> None:
     """Write the page over a run; atomically, so that it is whole whenever it is read."""
     with use_units(watched.course.machine.plant.units):
-        write_text(path, _html("watch.html.jinja", watch_content(watched), watch_plots(watched.course)))
+        _write_page(path, "watch.html.jinja", watch_content(watched), watch_plots(watched.course))
 
 
-def _html(template: str, page: dict[str, Any], drawn: dict[str, Any], *, style: str = "") -> str:
+def _write_page(path: Path, template: str, page: dict[str, Any], drawn: dict[str, Any], *, style: str = "") -> Path:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE),
         undefined=jinja2.StrictUndefined,
@@ -168,12 +165,14 @@ def _html(template: str, page: dict[str, Any], drawn: dict[str, Any], *, style: 
     )
     # Within a script element only "</" could end it.
     data = json.dumps({"plots": drawn}, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
-    return environment.get_template(template).render(
+    text = environment.get_template(template).render(
         page,
         css=_safe("report.css") + (_safe(style) if style else ""),
         script=_safe("report.js"),
         data=Markup(data),
     )
+    write_text(path, text)
+    return path
 
 
 def _safe(name: str) -> Markup:

@@ -7,12 +7,9 @@ from collections.abc import Collection, Sequence
 from typing import Any, Final
 
 from sgms_mhe.diagnosis import Score
+from sgms_mhe.report.pieces import bar_width
 from sgms_mhe.report.units import force, probability
-from sgms_mhe.report.words import (
-    capital,
-    join_words,
-    title,
-)
+from sgms_mhe.report.words import capital, join_words, title
 
 NAMED: Final = "named"
 LEAST: Final = 5e-4
@@ -74,11 +71,6 @@ def score_rows(scores: Sequence[Score], as_good: Collection[str]) -> list[dict[s
 def _amount(gain: float) -> str:
     """A gain; of one that would be written as zeros, that there is none."""
     return "none" if abs(gain) < LEAST else force(gain)
-
-
-def bar_width(value: float, most: float) -> float:
-    """Width of a bar, 0 to 100, for its value over the largest."""
-    return round(100.0 * max(0.0, min(1.0, value / most)), 2) if most > 0.0 and math.isfinite(value) else 0.0
 
 
 def first_finite(*values: float) -> float:

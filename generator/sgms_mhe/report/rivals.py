@@ -11,7 +11,7 @@ import numpy as np
 
 from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Limit, RivalFit
 from sgms_mhe.model.effects import separating_moves
-from sgms_mhe.report.ranking import bar_width
+from sgms_mhe.report.pieces import bar_width, force_bars
 from sgms_mhe.report.series import View, views
 from sgms_mhe.report.units import force, quantity, split_name
 from sgms_mhe.report.words import base_words, capital, cause_title, sentence, title
@@ -107,7 +107,6 @@ def rival_blocks(d: Diagnosis, rivals: Sequence[InPlace]) -> list[dict[str, Any]
 def _block(d: Diagnosis, rival: InPlace, parameters: Mapping[str, float]) -> dict[str, Any]:
     left = (d.rms.held_out_after, rival.fit.held_out_rms_N)
     most = max((v for v in (*left, d.noise_floor_N) if math.isfinite(v)), default=0.0)
-    named = (rival.cause_words, rival.words)
     drawn = sorted((view for view in rival.views if len(view.centres)), key=_apart, reverse=True)
     plots = [{"key": rival.plot(view.key), "title": f"What is left over {view.title}"} for view in drawn]
     return {
@@ -117,10 +116,7 @@ def _block(d: Diagnosis, rival: InPlace, parameters: Mapping[str, float]) -> dic
         "parameters": [
             {"words": split_name(key)[0], "value": str(quantity(key, value))} for key, value in parameters.items()
         ],
-        "rows": [
-            {"words": f"With {words}", "kind": kind, "value": force(value), "width": bar_width(value, most)}
-            for words, kind, value in zip(named, "ar", left, strict=True)
-        ],
+        "rows": force_bars([(f"With {rival.cause_words}", "a", left[0]), (f"With {rival.words}", "r", left[1])], most),
         "floor_at": bar_width(d.noise_floor_N, most),
         "differ": _difference(d, rival),
         "residual": rival.plot("residual"),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe import __version__
 from sgms_mhe.evaluation.watching import WORDS, RunSummary, flags_of, status_words
+from sgms_mhe.report.pieces import tile
 from sgms_mhe.report.plots import line, uniform
 from sgms_mhe.report.series import runs
 from sgms_mhe.report.units import axis_units, force, plain, quantity, scaled_unit, split_name
@@ -171,28 +172,16 @@ def _tiles(course: RunSummary, found: dict[str, Any]) -> list[dict[str, str]]:
     if last is None:
         return []
     rms = found["residual_rms_N"]
+    residual = "–" if rms is None else force(rms)
+    measured = f"measured {force(float(last.friction_measured_N[0]))}"
+    highest = f"greatest {plain(greatest['value'])} at {seconds(greatest['time_s'])}"
+    missing = f"{found['missing_samples']} of {found['samples']} samples missing"
     return [
-        {"label": "Time of the log", "value": seconds(found["end_s"]), "note": f"{found['updates']} updates"},
-        {
-            "label": "Friction, estimated",
-            "value": force(float(last.friction_N[0])),
-            "note": f"measured {force(float(last.friction_measured_N[0]))}",
-        },
-        {
-            "label": "Test ratio",
-            "value": plain(float(last.test_ratio[0])),
-            "note": f"greatest {plain(greatest['value'])} at {seconds(greatest['time_s'])}",
-        },
-        {
-            "label": "Measured minus estimated",
-            "value": "–" if rms is None else force(rms),
-            "note": f"RMS over {found['measured']} updates",
-        },
-        {
-            "label": "Faults seen",
-            "value": str(course.faults),
-            "note": f"{found['missing_samples']} of {found['samples']} samples missing",
-        },
+        tile("Time of the log", seconds(found["end_s"]), f"{found['updates']} updates"),
+        tile("Friction, estimated", force(float(last.friction_N[0])), measured),
+        tile("Test ratio", plain(float(last.test_ratio[0])), highest),
+        tile("Measured minus estimated", residual, f"RMS over {found['measured']} updates"),
+        tile("Faults seen", str(course.faults), missing),
     ]
 
 
