@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from sgms_mhe import __version__
 from sgms_mhe.emission.axis_forms import AxisNumber, WrittenAxis, axis_numbers
@@ -25,33 +25,6 @@ _HEADERS: Final = ("axis.h", "axis_effects.h")
 _DRIVEN: Final = 2
 """AXIS_CONTROL_FORCE of the C."""
 _FARTHEST: Final = 1e6
-
-
-@dataclass(frozen=True)
-class _Package:
-    """The FMU as templates of packages name what they are of."""
-
-    name: str
-    description: str
-    machine_digest: str
-    header_digest: str
-    version: str = __version__
-    command: str = "export"
-
-
-@dataclass(frozen=True)
-class _Delivery:
-    """Sources beside the glue, and the variables."""
-
-    sources: tuple[str, ...]
-    variables: tuple[Variable, ...]
-
-
-@dataclass(frozen=True)
-class _Signals:
-    """Seconds between samples."""
-
-    sample_time: float
 
 
 @dataclass(frozen=True)
@@ -75,17 +48,22 @@ def write_fmu(machine: Machine, version: Literal[2, 3]) -> WrittenAxis:
     effects = tuple(_effect_rows(machine))
     NativeAxis(machine, AxisConfig(), ()).place(0.0)  # refuses what the FMU could not start with
     variables, tunable = _variables(machine)
-    delivery = _Delivery(SOURCES, variables)
     texts = {file: (runtime_dir() / file).read_text(encoding="utf-8") for file in (*SOURCES, *_HEADERS)}
     digest = hashlib.sha256("".join(texts.values()).encode()).hexdigest()[:8]
-    description = f"axis {machine.name}: {machine.plant.units.push} in, motion out"
-    context = {
+    context: dict[str, Any] = {
         "name": name,
         "NAME": name.upper(),
-        "package": _Package(name, description, machine.digest[:16], digest),
+        "package": {
+            "name": name,
+            "description": f"axis {machine.name}: {machine.plant.units.push} in, motion out",
+            "machine_digest": machine.digest[:16],
+            "header_digest": digest,
+            "version": __version__,
+            "command": "export",
+        },
         "units": machine.plant.units,
-        "signals": _Signals(machine.sampling.step),
-        "delivery": delivery,
+        "signals": {"sample_time": machine.sampling.step},
+        "delivery": {"sources": SOURCES, "variables": variables},
         "piece": "axis/fmi_axis.jinja",
         "refusable": "a parameter",
         "settings": tuple(_settings(machine)),
@@ -172,38 +150,20 @@ def _variables(machine: Machine) -> tuple[tuple[Variable, ...], tuple[_Tunable, 
         Variable(k, name, "Real", "output", dot_unit(unit), text, f"now->{name}")
         for k, (name, unit, text) in enumerate(signals, 2)
     ]
+
+    def add_parameter(name: str, unit: str, text: str, code: str, start: str, *bounds: float | None) -> Variable:
+        rows.append(Variable(len(rows) + 1, name, "Real", "parameter", unit, text, code, start, *bounds))
+        return rows[-1]
+
     text = "position at the start, before the first step"
-    rows.append(
-        Variable(
-            len(rows) + 1,
-            "start_position",
-            "Real",
-            "parameter",
-            units.position,
-            text,
-            "self->start_position",
-            "0.0",
-            -_FARTHEST,
-            _FARTHEST,
-        )
-    )
+    add_parameter("start_position", units.position, text, "self->start_position", "0.0", -_FARTHEST, _FARTHEST)
     tunable = []
     for number, places, limits in _places(machine):
         if not places:  # of a table, which is the C's own
             continue
-        bounds = (limits.low, limits.high) if math.isfinite(limits.high - limits.low) else (None, None)
-        variable = Variable(
-            len(rows) + 1,
-            number.name,
-            "Real",
-            "parameter",
-            number.dotted_unit or "1",
-            number.text,
-            places[0],
-            repr(number.value),
-            *bounds,
-        )
-        rows.append(variable)
+        bounds = (limits.low, limits.high) if math.isfinite(limits.high - limits.low) else ()
+        value, unit = repr(number.value), number.dotted_unit or "1"
+        variable = add_parameter(number.name, unit, number.text, places[0], value, *bounds)
         tunable.append(_Tunable(variable, places, *_edges(limits)))
     return tuple(rows), tuple(tunable)
 
