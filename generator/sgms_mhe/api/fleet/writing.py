@@ -12,7 +12,7 @@ from typing import Any
 from sgms_mhe import __version__
 from sgms_mhe.api.fleet.bands import BandPoint, NumberSeries
 from sgms_mhe.api.fleet.running import Done, Fleet
-from sgms_mhe.api.fleet.work import FleetNumber, Result, json_text
+from sgms_mhe.api.fleet.work import Result, json_text
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.model.effects import reported_name
 from sgms_mhe.report import FleetCourse, FleetLog, FleetPoint, write_fleet_report
@@ -25,8 +25,9 @@ def write_fleet(fleet: Fleet, out: str | Path) -> Path:
     """Write results.csv, results.json and fleet.html; return the page's path."""
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "results.csv", results_csv(fleet, folder))
-    write_text(folder / "results.json", json_text(results_json(fleet, folder)))
+    results = results_json(fleet, folder)
+    write_text(folder / "results.csv", results_csv(results))
+    write_text(folder / "results.json", json_text(results))
     logs = fleet_logs(fleet, folder)
     return write_fleet_report(fleet.verb, str(fleet.table), logs, [_course(c, fleet) for c in fleet.courses], folder)
 
@@ -38,7 +39,7 @@ def fleet_logs(fleet: Fleet, folder: Path) -> list[FleetLog]:
 
 def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
     """Content of results.json: every row of the table once, in its order."""
-    bands = _bands(fleet)
+    bands = {(point.row.number, course.name): point for course in fleet.courses for point in course.points}
     return {
         "verb": fleet.verb,
         "version": __version__,
@@ -53,62 +54,45 @@ def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
                 **_identity(done, fleet.table),
                 "outcome": "failed" if done.failure else "done",
                 "failure": done.failure or None,
-                "verdict": done.result.verdict if done.result else None,
-                "standing": done.result.standing if done.result else None,
-                "summary": done.result.summary if done.result else None,
+                **{key: getattr(done.result, key, None) for key in ("verdict", "standing", "summary")},
                 "notes": list(done.result.notes) if done.result else [],
                 "folder": _relative(done, folder),
-                "numbers": _numbers(done, bands),
+                "numbers": [_number(done.result.kind, bands[done.row.number, n.name]) for n in done.result.numbers]
+                if done.result
+                else [],
             }
             for done in fleet.rows
         ],
     }
 
 
-def _numbers(done: Done, bands: Mapping[tuple[int, str], BandPoint]) -> list[dict[str, Any]]:
-    if done.result is None:
-        return []
-    kind = done.result.kind
-    return [_number(kind, number, bands[done.row.number, number.name]) for number in done.result.numbers]
-
-
-def _number(kind: Kind, number: FleetNumber, point: BandPoint) -> dict[str, Any]:
-    band = point.band and {
-        "low": point.band.low,
-        "high": point.band.high,
-        "from": point.band.origin,
-        "count": point.band.count,
+def _number(kind: Kind, point: BandPoint) -> dict[str, Any]:
+    number, band = point.number, point.band
+    return {
+        "name": _name_with_unit(kind, number.name),
+        "value": number.value,
+        "std": number.std,
+        "nominal": number.nominal,
+        "band": band and {"low": band.low, "high": band.high, "from": band.origin, "count": band.count},
+        "left_band": point.left if band else None,
     }
-    named = _name_with_unit(kind, number.name)
-    values = {"value": number.value, "std": number.std, "nominal": number.nominal}
-    return {"name": named, **values, "band": band, "left_band": point.left if point.band else None}
 
 
-def results_csv(fleet: Fleet, folder: Path) -> str:
-    """Content of results.csv: a row of the table each; a number that a row does not determine stays empty."""
-    found = [(done, done.result) for done in fleet.rows]
-    names = {_name_with_unit(r.kind, n.name): None for _, r in found if r is not None for n in r.numbers}
-    bands = _bands(fleet)
+def results_csv(results: Mapping[str, Any]) -> str:
+    """Content of results.csv, of results.json: a row each; a number that a row does not determine stays empty."""
+    names = dict.fromkeys(number["name"] for row in results["rows"] for number in row["numbers"])
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     columns = [column for name in names for column in (name, f"std_{name}")]
-    identity = ("row", "name", "axis", "date", "machine", "log")
-    lines.writerow([*identity, "outcome", "verdict", "said", "left_band", "folder", *columns])
-    for done, result in found:
-        own = list(_identity(done, fleet.table).values())
-        if result is None:
-            lines.writerow([done.row.number, *own, "failed", "", done.failure, "", "", *[""] * len(columns)])
-            continue
-        values = {_name_with_unit(result.kind, n.name): (repr(n.value), repr(n.std)) for n in result.numbers}
-        left = [_name_with_unit(result.kind, n.name) for n in result.numbers if bands[done.row.number, n.name].left]
-        cells = [cell for name in names for cell in values.get(name, ("", ""))]
-        said = [result.verdict, result.summary, " ".join(left), _relative(done, folder)]
-        lines.writerow([done.row.number, *own, "done", *said, *cells])
+    identity = ("row", "name", "axis", "date", "machine", "log", "outcome", "verdict")
+    lines.writerow([*identity, "said", "left_band", "folder", *columns])
+    for row in results["rows"]:
+        numbers = {number["name"]: number for number in row["numbers"]}
+        cells = [repr(numbers[name][key]) if name in numbers else "" for name in names for key in ("value", "std")]
+        left = " ".join(name for name, number in numbers.items() if number["left_band"])
+        said = row["failure"] or row["summary"]
+        lines.writerow([*(row[key] for key in identity), said, left, row["folder"], *cells])
     return text.getvalue()
-
-
-def _bands(fleet: Fleet) -> dict[tuple[int, str], BandPoint]:
-    return {(point.row.number, course.name): point for course in fleet.courses for point in course.points}
 
 
 def _name_with_unit(kind: Kind, name: str) -> str:
