@@ -845,6 +845,13 @@ static int says_status(etel_xy_t *axis)
     return good && (status < 0 || (status & ETEL_XY_DOUBT) != 0);
 }
 
+/* A sample, and the update where one is due. */
+static int go_one(etel_xy_t *axis, int way, motion *m, sgms_real *force)
+{
+    const int good = go_along(axis, way, m, 1, force);
+    return good && (etel_xy_due(axis) == 0 || etel_xy_feedback(axis) >= 0);
+}
+
 /* The force turns off and on, and is within its limit at any set-point. */
 static int limits_force(etel_xy_t *axis, motion *m, int way)
 {
@@ -853,17 +860,17 @@ static int limits_force(etel_xy_t *axis, motion *m, int way)
     share = etel_xy_share(axis);
     for (int side = -1; side <= 1; side += 2) {
         etel_xy_ahead(axis, (sgms_real)side * sgms_fmax(SELFTEST_VELOCITY, MAX_VELOCITY), 0.0);
-        good = go_along(axis, way, m, 1, &force) && good;
+        good = go_one(axis, way, m, &force) && good;
         if (SELFTEST_VELOCITY > 0.0) {
             good = good && is_near(force, (sgms_real)side * 48.96 *
                 (share < 1.0 ? force * (sgms_real)side * 0.02042483660130719 : 1.0), 0.0);
         }
     }
     etel_xy_ahead(axis, not_a_number(), 0.0);
-    good = go_along(axis, way, m, 1, &force) && good;
+    good = go_one(axis, way, m, &force) && good;
     share = etel_xy_share(axis);
     etel_xy_compensate(axis, 0);
-    good = go_along(axis, way, m, 1, &force) && good && is_fading(axis, share, force);
+    good = go_one(axis, way, m, &force) && good && is_fading(axis, share, force);
     etel_xy_init(axis);
     return good && is_near(etel_xy_share(axis), 0.0, 0.0);
 }

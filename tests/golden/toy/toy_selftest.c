@@ -800,6 +800,13 @@ static int says_status(toy_t *axis)
     return good && (status < 0 || (status & TOY_DOUBT) != 0);
 }
 
+/* A sample, and the update where one is due. */
+static int go_one(toy_t *axis, int way, motion *m, sgms_real *force)
+{
+    const int good = go_along(axis, way, m, 1, force);
+    return good && (toy_due(axis) == 0 || toy_feedback(axis) >= 0);
+}
+
 /* The force turns off and on, and is within its limit at any set-point. */
 static int limits_force(toy_t *axis, motion *m, int way)
 {
@@ -808,13 +815,13 @@ static int limits_force(toy_t *axis, motion *m, int way)
     share = toy_share(axis);
     for (int side = -1; side <= 1; side += 2) {
         toy_ahead(axis, (sgms_real)side * sgms_fmax(SELFTEST_VELOCITY, MAX_VELOCITY), 0.0);
-        good = go_along(axis, way, m, 1, &force) && good;
+        good = go_one(axis, way, m, &force) && good;
     }
     toy_ahead(axis, not_a_number(), 0.0);
-    good = go_along(axis, way, m, 1, &force) && good;
+    good = go_one(axis, way, m, &force) && good;
     share = toy_share(axis);
     toy_compensate(axis, 0);
-    good = go_along(axis, way, m, 1, &force) && good && is_fading(axis, share, force);
+    good = go_one(axis, way, m, &force) && good && is_fading(axis, share, force);
     toy_init(axis);
     return good && is_near(toy_share(axis), 0.0, 0.0);
 }
