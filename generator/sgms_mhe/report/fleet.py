@@ -226,37 +226,28 @@ def _tiles(
 def _departures(course: FleetCourse) -> list[dict[str, str]]:
     """The newest log that left its band, with how many did; and a steady move."""
     out = [(point, point.band) for point in course.points if point.band is not None and point.left]
-    found = [_departure(course, *out[-1], len(out))] if out else []
+    found = []
+    if out:
+        point, band = out[-1]
+        of = f"its own first {band.count} logs"
+        if band.origin == "fleet":
+            of = f"the newest logs of the other {band.count} axes"
+        side = "above" if point.value > band.high else "below"
+        why = f"{side} the band {course.written(band.low)} to {course.written(band.high)} of {of}"
+        times = f"; {len(out)} of its {len(course.points)} logs" if len(out) > 1 else ""
+        found.append(_departure(course, point, point.when or point.log, why + times))
     if course.trend is not None:
         t, newest = course.trend, course.newest
         before = newest.value - t.change
         share = f", {relative_change(before, newest.value)}" if before > 0.0 else ""
-        change = course.written(t.change, t.std)
-        found.append(
-            {
-                "axis": course.axis,
-                "words": course.words(),
-                "value": str(course.written(newest.value, newest.std)),
-                "when": newest.when,
-                "why": f"moves steadily: {change}{share} over {t.days:.0f} days, {t.count} logs",
-            }
-        )
+        why = f"moves steadily: {course.written(t.change, t.std)}{share} over {t.days:.0f} days, {t.count} logs"
+        found.append(_departure(course, newest, newest.when, why))
     return found
 
 
-def _departure(course: FleetCourse, point: FleetPoint, band: Band, times: int) -> dict[str, str]:
-    of = f"its own first {band.count} logs"
-    if band.origin == "fleet":
-        of = f"the newest logs of the other {band.count} axes"
-    side = "above" if point.value > band.high else "below"
-    return {
-        "axis": course.axis,
-        "words": course.words(),
-        "value": str(course.written(point.value, point.std)),
-        "when": point.when or point.log,
-        "why": f"{side} the band {course.written(band.low)} to {course.written(band.high)} of {of}"
-        + (f"; {times} of its {len(course.points)} logs" if times > 1 else ""),
-    }
+def _departure(course: FleetCourse, point: FleetPoint, when: str, why: str) -> dict[str, str]:
+    value = str(course.written(point.value, point.std))
+    return {"axis": course.axis, "words": course.words(), "value": value, "when": when, "why": why}
 
 
 def _axes(courses: Sequence[FleetCourse], gone: Sequence[str]) -> list[dict[str, Any]]:
