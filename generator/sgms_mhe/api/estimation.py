@@ -57,9 +57,7 @@ def estimate(
     if solver in ("c", "ekf"):
         chosen = override_machine(axis, {"estimator": {"kind": "ekf"}}) if solver == "ekf" else axis
         estimator = CompiledEstimator(chosen)
-        if any(
-            column is not None for column in (recorded.velocity_m_s, recorded.acceleration_m_s2, recorded.friction_N)
-        ):
+        if has_own_signals(recorded):
             return read_only(estimator.estimate(signals_from_log(recorded, axis), progress=progress))
         return read_only(estimator.estimate_log(recorded, mode="tick", progress=progress))
     kind: Literal["smoother"] | None = "smoother" if solver == "smoother" else None
@@ -115,6 +113,11 @@ def find_origin(
         raise InputError("find_origin", "within_m", within_m, "a number above 0")
     axis = load(machine)
     return origin.find_origin(axis, recorded_log(log, axis, note=note), within_m)
+
+
+def has_own_signals(log: Log) -> bool:
+    """Return True if a log brings a signal that is otherwise computed of position and force."""
+    return any(column is not None for column in (log.velocity_m_s, log.acceleration_m_s2, log.friction_N))
 
 
 def check_length(log: Log, machine: Machine) -> None:

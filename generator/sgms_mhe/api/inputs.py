@@ -105,14 +105,12 @@ def warn_of_log(sentence: str) -> None:
     warnings.warn(sentence, LogWarning, stacklevel=depth)
 
 
-def recorded_log(
-    log: LogSource, machine: Machine, *, start_s: float = 0.0, end_s: float = math.inf, note: Note | None = None
-) -> Log:
+def recorded_log(log: LogSource, machine: Machine, *, note: Note | None = None) -> Log:
     """Read a log that an axis of this machine can have left.
 
     Raises:
         InputError: as read_log does; an ImplausibleError where its columns cannot be what they are called.
     """
-    found = read_log(log, machine, start_s=start_s, end_s=end_s, note=note)
+    found = read_log(log, machine, note=note)
     check_plausible(found, machine)
     return found

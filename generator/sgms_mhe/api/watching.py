@@ -13,6 +13,7 @@ from typing import BinaryIO, Final, Protocol
 
 import numpy as np
 
+from sgms_mhe.api.estimation import has_own_signals
 from sgms_mhe.api.inputs import Note, recorded_log
 from sgms_mhe.evaluation.watching import RunSummary
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -114,7 +115,7 @@ class Replay(SampleSource):
         super().__init__()
         log = recorded_log(path, machine, note=note)
         self._log = log
-        self._signals = signals_from_log(log, machine) if _has_own(log) else None
+        self._signals = signals_from_log(log, machine) if has_own_signals(log) else None
         self._speed, self._clock = speed, clock
         self._at_once = AT_ONCE * machine.sampling.samples_per_update
 
@@ -140,11 +141,6 @@ class Replay(SampleSource):
             return self._signals.part(which)
         log = self._log
         return Log(log.time_s[which], log.position_m[which], log.force_N[which], log.rate, kind=log.kind)
-
-
-def _has_own(log: Log) -> bool:
-    """Return True if it brings a signal that is otherwise computed of position and force."""
-    return any(column is not None for column in (log.velocity_m_s, log.acceleration_m_s2, log.friction_N))
 
 
 class _Growing(SampleSource):
@@ -299,7 +295,7 @@ class Watch:
             self._stretch.append(piece)
             if sum(map(len, self._stretch)) >= STRETCH_S * self._machine.sampling.rate:
                 self.judge()
-        if isinstance(piece, Log) and _has_own(piece):
+        if isinstance(piece, Log) and has_own_signals(piece):
             piece = self._through_chain(piece)
         if isinstance(piece, Log):
             gaps = ~(np.isfinite(piece.position_m) & np.isfinite(piece.force_N))

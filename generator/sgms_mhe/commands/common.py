@@ -121,15 +121,15 @@ def example(*lines: str) -> str:
 # --- inputs ----------------------------------------------------------------------------------------------------------
 
 
-def recorded_log(path: Path, machine: Machine, start_s: float = 0.0, end_s: float = math.inf) -> Log:
-    """Read a log that an axis of this machine can have left, or the part of it from `start_s` to `end_s`.
+def recorded_log(path: Path, machine: Machine) -> Log:
+    """Read a log that an axis of this machine can have left.
 
     Raises:
         InputError: it cannot be read, or its columns cannot be what they are called.
     """
     from sgms_mhe.api import inputs
 
-    return inputs.recorded_log(path, machine, start_s=start_s, end_s=end_s, note=note)
+    return inputs.recorded_log(path, machine, note=note)
 
 
 # --- outputs, checked before the work that they are to receive -------------------------------------------------------
@@ -238,6 +238,18 @@ def parameters_text(units: Units, parameters: Mapping[str, Mapping[str, float]])
         for name, p in parameters.items()
     ]
     return table_text(("parameter at the end", "nominal", "estimate +- 2 sigma", "ratio"), rows)
+
+
+def updates_text(units: Units, summary: Mapping[str, Any]) -> str:
+    """How many updates there were, when, and the residual of those with a measurement."""
+    rms = summary["residual_rms_N"]
+    residual = "no update had a measurement"
+    if rms is not None:
+        residual = f"measured minus estimated friction {rms:.4g} {units.force} rms"
+    return (
+        f"{summary['updates']} updates from {summary['start_s']:g} to {summary['end_s']:g} s, "
+        f"{summary['measured']} with a measurement; {residual}"
+    )
 
 
 def table_text(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -22,6 +22,7 @@ from sgms_mhe.commands.common import (
     parameters_text,
     progress_bar,
     show,
+    updates_text,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.libraries import optional_library
@@ -152,17 +153,10 @@ def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[st
 def summary_text(machine: Machine, summary: dict[str, Any]) -> str:
     """The summary for people."""
     units = machine.plant.units
-    rms = summary["residual_rms_N"]
-    residual = (
-        "no update had a measurement"
-        if rms is None
-        else f"measured minus estimated friction {rms:.4g} {units.force} rms"
-    )
     counts = ", ".join(f"{count} {name}" for name, count in summary["status"].items() if count)
     return "\n".join(
         [
-            f"{summary['machine']}, solver {summary['solver']}: {summary['updates']} updates from "
-            f"{summary['start_s']:g} to {summary['end_s']:g} s, {summary['measured']} with a measurement; {residual}",
+            f"{summary['machine']}, solver {summary['solver']}: {updates_text(units, summary)}",
             parameters_text(units, summary["parameters"]),
             f"updates: {counts}",
         ]

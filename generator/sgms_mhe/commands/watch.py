@@ -27,6 +27,7 @@ from sgms_mhe.commands.common import (
     parameters_text,
     show,
     table_text,
+    updates_text,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.errors import InputError
@@ -240,12 +241,6 @@ def _text(machine: Machine, summary: dict[str, Any]) -> str:
     from sgms_mhe.evaluation.watching import WORDS
 
     units, greatest = machine.plant.units, summary["greatest_test_ratio"]
-    rms = summary["residual_rms_N"]
-    residual = (
-        "no update had a measurement"
-        if rms is None
-        else f"measured minus estimated friction {rms:.4g} {units.force} rms"
-    )
     length = summary["status_s"]
     states = [(WORDS[name], f"{length[name]:.2f} s", str(summary["status"][name])) for name in WORDS if length[name]]
     episodes = [
@@ -257,8 +252,7 @@ def _text(machine: Machine, summary: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"{summary['machine']}, {summary['log']}: ended, {summary['ended']}",
-            f"{summary['samples']} samples, {summary['missing_samples']} missing; {summary['updates']} updates from "
-            f"{summary['start_s']:g} to {summary['end_s']:g} s, {summary['measured']} with a measurement; {residual}",
+            f"{summary['samples']} samples, {summary['missing_samples']} missing; {updates_text(units, summary)}",
             parameters_text(units, summary["parameters"]),
             table_text(("status", "time", "updates"), states),
             f"greatest test ratio {greatest['value']:.4g} at {greatest['time_s']:.2f} s",
