@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sgms_mhe.logfiles.table import Array, Table, Variable, real, refuse_damage, table_of_variables
+from sgms_mhe.logfiles.table import Array, StoredArray, Table, real, refuse_damage, table_of_arrays
 from sgms_mhe.support.libraries import optional_library
 
 _WHOLE = "a whole HDF5 file, its columns arrays of real numbers"
@@ -17,7 +17,7 @@ def read_hdf5(path: Path) -> Table:
     Raises InputError for a damaged file and where h5py is absent, OSError as open does.
     """
     h5py = optional_library("h5py", "hdf5", "HDF5", path)
-    found: dict[str, Variable] = {}
+    found: dict[str, StoredArray] = {}
 
     def note(place: str, node: Any) -> None:
         if not isinstance(node, h5py.Dataset) or place.startswith("#"):
@@ -30,10 +30,10 @@ def read_hdf5(path: Path) -> Table:
 
     with refuse_damage(path, _WHOLE), h5py.File(path, "r") as content:
         content.visititems(note)
-    return table_of_variables(path, "HDF5", _WHOLE, found)
+    return table_of_arrays(path, "HDF5", _WHOLE, found)
 
 
-def hdf_variable(path: Path, h5py: Any, name: str, node: Any, part: str | tuple[()]) -> Variable:
+def hdf_variable(path: Path, h5py: Any, name: str, node: Any, part: str | tuple[()]) -> StoredArray:
     """The array at a node of an open file, or the member `part` of its elements, which have no unit."""
     place = node.name
 
@@ -41,7 +41,7 @@ def hdf_variable(path: Path, h5py: Any, name: str, node: Any, part: str | tuple[
         with h5py.File(path, "r") as content:
             return real(path, name, content[place][part])
 
-    return Variable(node.shape, read, unit="" if part else stated_unit(node))
+    return StoredArray(node.shape, read, unit="" if part else stated_unit(node))
 
 
 def stated_unit(node: Any) -> str:

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from sgms_mhe.logfiles.mat73 import DEEPEST, describe_values, hdf_variables
-from sgms_mhe.logfiles.table import Array, Table, Variable, refuse_damage, table_of_variables
+from sgms_mhe.logfiles.table import Array, StoredArray, Table, refuse_damage, table_of_arrays
 from sgms_mhe.support.libraries import optional_library
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -60,14 +60,14 @@ def read_mat(path: Path) -> Table:
         return _table(path, "MAT v7.3", hdf_variables(path, h5py))
 
 
-def _table(path: Path, form: str, found: dict[str, Variable]) -> Table:
+def _table(path: Path, form: str, found: dict[str, StoredArray]) -> Table:
     """The table of a file's variables; ValueError where the index of a channel's times is damaged."""
     clocks = {name: clock for name in found if (clock := _clock(name, found))}
     found |= {clock: replace(found[clock], unit=found[clock].unit or "s") for clock in clocks.values()}
-    return replace(table_of_variables(path, form, _WHOLE, found), clocks=clocks)
+    return replace(table_of_arrays(path, form, _WHOLE, found), clocks=clocks)
 
 
-def _clock(name: str, found: Mapping[str, Variable]) -> str | None:
+def _clock(name: str, found: Mapping[str, StoredArray]) -> str | None:
     """Name of the times of a channel: X(k).Data of Y(i).Data in ControlDesk's files, time of signals in Simulink's."""
     path = _CHANNEL.fullmatch(name)
     if path is None:
@@ -95,11 +95,11 @@ def _version(content: bytes) -> int:
     return version
 
 
-def mat_variables(content: bytes) -> dict[str, Variable]:
+def mat_variables(content: bytes) -> dict[str, StoredArray]:
     """The variables of a MAT v5 file by name, members of structs as paths with dots; ValueError where it is damaged."""
     whole = memoryview(content)
     order = "<" if content[126:128] == b"IM" else ">"
-    variables: dict[str, Variable] = {}
+    variables: dict[str, StoredArray] = {}
     for kind, body in _elements(whole[_HEADER:], order):
         packed = kind == _COMPRESSED
         if not packed and kind != _MATRIX:
@@ -112,7 +112,7 @@ def mat_variables(content: bytes) -> dict[str, Variable]:
         if flags & 0xFF == _STRUCT:
             variables |= _members(_unpack(body, packed), order, name, 0)
         elif name:  # what has none is MATLAB's own
-            variables[name] = Variable(shape, partial(_read, name, order, packed, body))
+            variables[name] = StoredArray(shape, partial(_read, name, order, packed, body))
     return variables
 
 
@@ -120,7 +120,7 @@ def _unpack(body: memoryview, packed: bool) -> memoryview:
     return memoryview(zlib.decompress(body))[8:] if packed else body
 
 
-def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str, Variable]:
+def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str, StoredArray]:
     """Numeric members of a struct, and of those inside it; of an array of structs those of path(1), path(2), ..."""
     elements = _elements(matrix, order)
     _, shape, _ = _description(elements, order)
@@ -135,7 +135,7 @@ def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str,
         raise ValueError("a struct whose names are damaged")
     fields = [bytes(names[k : k + size]).partition(b"\0")[0].decode("latin-1") for k in range(0, len(names), size)]
     values = list(elements)
-    found: dict[str, Variable] = {}
+    found: dict[str, StoredArray] = {}
     for k in range(min(math.prod(shape), len(values))):
         own = path if math.prod(shape) == 1 else f"{path}({k + 1})"
         part = values[k * len(fields) : (k + 1) * len(fields)]
@@ -143,9 +143,9 @@ def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str,
     return found
 
 
-def _fields(members: Mapping[str, tuple[int, memoryview]], order: str, path: str, depth: int) -> dict[str, Variable]:
+def _fields(members: Mapping[str, tuple[int, memoryview]], order: str, path: str, depth: int) -> dict[str, StoredArray]:
     """Numeric members of one struct by their paths, its values with the label and the unit that stand beside them."""
-    found: dict[str, Variable] = {}
+    found: dict[str, StoredArray] = {}
     texts: dict[str, str] = {}
     for field, (kind, body) in members.items():
         if kind != _MATRIX or not len(body):
@@ -155,7 +155,7 @@ def _fields(members: Mapping[str, tuple[int, memoryview]], order: str, path: str
             found |= _members(body, order, name, depth + 1)
         elif own in _NUMERIC_CLASSES:
             shape = _description(_elements(body, order), order)[1]
-            found[name] = Variable(shape, partial(_read, name, order, False, body))
+            found[name] = StoredArray(shape, partial(_read, name, order, False, body))
         elif own == _CHAR:
             texts[field.casefold()] = _text(body, order)
     return describe_values(found, path, texts)

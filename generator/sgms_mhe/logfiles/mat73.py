@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from sgms_mhe.logfiles.hdf5 import hdf_variable
-from sgms_mhe.logfiles.table import Variable
+from sgms_mhe.logfiles.table import StoredArray
 
 VALUES: Final = ("Data", "data", "values", "Values")
 """Fields of a channel that hold its samples, where a name and a unit may stand beside them."""
@@ -23,7 +23,7 @@ _MOST: Final = 100_000
 """Variables of a file: references may lead in a circle."""
 
 
-def describe_values(found: dict[str, Variable], path: str, texts: Mapping[str, str]) -> dict[str, Variable]:
+def describe_values(found: dict[str, StoredArray], path: str, texts: Mapping[str, str]) -> dict[str, StoredArray]:
     """The members `found` of the struct `path`, its values with the label and the unit among its texts."""
     label = next((texts[key] for key in ("name", "label", "title") if texts.get(key)), "")
     for name in found.keys() & {f"{path}.{field}" for field in VALUES}:
@@ -32,7 +32,7 @@ def describe_values(found: dict[str, Variable], path: str, texts: Mapping[str, s
     return found
 
 
-def hdf_variables(path: Path, h5py: Any) -> dict[str, Variable]:
+def hdf_variables(path: Path, h5py: Any) -> dict[str, StoredArray]:
     """The variables of a file by name; raises as h5py does, and ValueError, where it is damaged."""
     with h5py.File(path, "r") as content:
         return _Walk(path, h5py, content).members({key: content[key] for key in content if key[:1] != "#"}, "", 0)
@@ -46,7 +46,7 @@ class _Walk:
     h5py: Any
     content: Any
 
-    def struct(self, group: Any, path: str, depth: int) -> dict[str, Variable]:
+    def struct(self, group: Any, path: str, depth: int) -> dict[str, StoredArray]:
         """Members of a struct by their paths; of an array of structs those of path(1), path(2), ..."""
         if depth > DEEPEST:
             return {}
@@ -55,7 +55,7 @@ class _Walk:
             return self.members(fields, path, depth)
         references = {key: np.ravel(node[()]) for key, node in fields.items()}
         count = min(map(len, references.values()))
-        found: dict[str, Variable] = {}
+        found: dict[str, StoredArray] = {}
         for k in range(count):
             part = {key: self.content[places[k]] for key, places in references.items() if places[k]}
             found |= self.members(part, path if count == 1 else f"{path}({k + 1})", depth)
@@ -63,9 +63,9 @@ class _Walk:
                 raise ValueError(f"more than {_MOST} variables")
         return found
 
-    def members(self, fields: Mapping[str, Any], path: str, depth: int) -> dict[str, Variable]:
+    def members(self, fields: Mapping[str, Any], path: str, depth: int) -> dict[str, StoredArray]:
         """Numeric members of one struct by their paths, its values with the label and the unit beside them."""
-        found: dict[str, Variable] = {}
+        found: dict[str, StoredArray] = {}
         texts: dict[str, str] = {}
         for field, node in fields.items():
             name = f"{path}.{field}" if path else field
@@ -85,7 +85,7 @@ class _Walk:
         return is_data and self.h5py.check_ref_dtype(node.dtype) is not None and _class(node) != "cell"
 
 
-def _turn(found: Variable) -> Variable:
+def _turn(found: StoredArray) -> StoredArray:
     """A variable in MATLAB's shape."""
     return replace(found, shape=found.shape[::-1], read=lambda: found.read().T)
 

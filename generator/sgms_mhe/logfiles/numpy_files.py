@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array, Table, Variable, real, refuse_damage, seconds, table_of_variables
+from sgms_mhe.logfiles.table import Array, StoredArray, Table, real, refuse_damage, seconds, table_of_arrays
 
 _WHOLE = "a whole NPZ archive, or NPY file, of numeric arrays"
 
@@ -19,8 +19,8 @@ def read_numpy(path: Path) -> Table:
         content = np.load(stream, allow_pickle=False)
         if isinstance(content, np.ndarray):
             return _array_table(path, content)
-        found = {name: Variable(_shape(content, name), partial(_read, path, name)) for name in content.files}
-    return table_of_variables(path, "NPZ", _WHOLE, found)
+        found = {name: StoredArray(_shape(content, name), partial(_read, path, name)) for name in content.files}
+    return table_of_arrays(path, "NPZ", _WHOLE, found)
 
 
 def _read(path: Path, name: str) -> Array:
@@ -39,12 +39,12 @@ def _shape(archive: Any, name: str) -> tuple[int, ...]:
 def _array_table(path: Path, array: Any) -> Table:
     names = array.dtype.names
     if names:
-        found = {name: Variable(array.shape, partial(_values, path, name, array[name])) for name in names}
-        return table_of_variables(path, "NPY, structured", _WHOLE, found)
+        found = {name: StoredArray(array.shape, partial(_values, path, name, array[name])) for name in names}
+        return table_of_arrays(path, "NPY, structured", _WHOLE, found)
     if array.ndim != 2:
         raise ValueError(f"shape {array.shape}, no matrix of at least three signals, time, position and force")
-    found = {ARRAY: Variable(array.shape, partial(real, path, ARRAY, array))}
-    return table_of_variables(path, "NPY", _WHOLE, found)
+    found = {ARRAY: StoredArray(array.shape, partial(real, path, ARRAY, array))}
+    return table_of_arrays(path, "NPY", _WHOLE, found)
 
 
 ARRAY = "array"

@@ -22,11 +22,7 @@ def read_parquet(path: Path) -> Table:
 def read_feather(path: Path) -> Table:
     """The table of a Feather file of either version, which is Arrow's too, as `read_parquet`."""
     feather = optional_library("pyarrow.feather", "parquet", "Feather", path)
-
-    def schema(name: Path) -> Any:
-        return feather.read_table(name, memory_map=True).schema
-
-    return _read(path, "Feather", schema, feather.read_table)
+    return _read(path, "Feather", lambda name: feather.read_table(name, memory_map=True).schema, feather.read_table)
 
 
 def _read(path: Path, form: str, read_schema: Callable[[Path], Any], read_columns: Callable[..., Any]) -> Table:

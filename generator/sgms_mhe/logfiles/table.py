@@ -92,7 +92,7 @@ def refuse_damage(path: Path, allowed: str) -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class Variable:
+class StoredArray:
     """An array of a file, found and not yet read.
 
     Attributes:
@@ -107,7 +107,7 @@ class Variable:
     unit: str = ""
 
 
-def table_of_variables(path: Path, form: str, allowed: str, found: Mapping[str, Variable]) -> Table:
+def table_of_arrays(path: Path, form: str, allowed: str, found: Mapping[str, StoredArray]) -> Table:
     """The table of a file's variables by name; `allowed`: what is wanted instead of a damaged file."""
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
