@@ -105,6 +105,11 @@ def _is_list_of_one(field: str) -> bool:
     return field[-1] == "]" and (is_value(inner) or is_missing(inner))
 
 
+def note_left_out(lines: Sequence[str]) -> list[str]:
+    """The sentence on lines after the last sample; none where there are none."""
+    return [f"{len(lines)} lines after the last sample are left out, the first: {lines[0][:80]}"] if lines else []
+
+
 def lines_of(text: str) -> list[str]:
     """Lines of Unix, Windows and old Mac."""
     return _END.split(text)
@@ -166,25 +171,25 @@ def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | Non
     """(separator, index of the first sample, fields in it): the separator that leaves most fields values."""
     separators = (hints.separator,) if hints is not None and hints.separator else SEPARATORS
     for limit in (_SEARCHED, len(filled)):
-        best: tuple[float, int, str, int] | None = None
-        for separator in separators:
-            found = _first_sample(filled[:limit], separator, least)
-            if found is None:
-                continue
-            following = [fields_of(line, separator) for _, line in filled[found : found + _TRIAL]]
-            count = len(following[0])
-            full = [fields for fields in following if len(fields) == count]
-            entries = [field for fields in full for field in fields if field]
-            share = sum(map(is_value, entries)) / len(entries) * len(full) / len(following)
-            if best is None or (share, count) > best[:2]:
-                best = (share, count, separator, found)
-        if best is not None:
-            return best[2], best[3], best[1]
+        firsts = {separator: _first_sample(filled[:limit], separator, least) for separator in separators}
+        found = {separator: first for separator, first in firsts.items() if first is not None}
+        if found:
+            rated = {s: _rate([fields_of(line, s) for _, line in filled[k : k + _TRIAL]]) for s, k in found.items()}
+            best = max(rated, key=lambda separator: rated[separator])
+            return best, found[best], rated[best][1]
     allowed = (
         "a header line with the columns' names and at least 2 rows of numbers, with , ; | tab or spaces between "
         f'them; {_SAYS} separator = "..."'
     )
     raise InputError(path, "file", "no row of numbers", allowed)
+
+
+def _rate(rows: Sequence[Sequence[str]]) -> tuple[float, int]:
+    """(share of values, fields): of the rows that have as many fields as the first, over all."""
+    count = len(rows[0])
+    full = [fields for fields in rows if len(fields) == count]
+    entries = [field for fields in full for field in fields if field]
+    return sum(map(is_value, entries)) / len(entries) * len(full) / len(rows), count
 
 
 def _first_sample(filled: Sequence[tuple[int, str]], separator: str, least: int) -> int | None:

@@ -24,6 +24,7 @@ from sgms_mhe.logfiles.dialect import (
     is_empty,
     is_row,
     lines_of,
+    note_left_out,
     told_in,
 )
 from sgms_mhe.logfiles.encoding import Decoder, check_text
@@ -72,8 +73,7 @@ class FollowedText:
     @property
     def left_out(self) -> tuple[str, ...]:
         """Sentences on what was left out, once the text has ended."""
-        lines = [] if self._rows is None else self._rows.left_out
-        found = [f"{len(lines)} lines after the last sample are left out, the first: {lines[0][:80]}"] if lines else []
+        found = note_left_out([] if self._rows is None else self._rows.left_out)
         if rest := self._lines.rest.strip():
             found.append(f"the last line has no end and is left out: {rest[:80]}")
         return tuple(found)
@@ -237,11 +237,8 @@ class _Rows:
 
     def take(self, lines: Sequence[str]) -> Iterator[Log]:
         """The samples of the lines that follow. Raises InputError that names the first row that is none."""
-        rows = []
-        for line in lines:
-            self._line += 1
-            if not is_empty(line):
-                rows.append((self._line, line))
+        rows = [(number, line) for number, line in enumerate(lines, self._line + 1) if not is_empty(line)]
+        self._line += len(lines)
         if rows:
             yield from self._read(rows)
 

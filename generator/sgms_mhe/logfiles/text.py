@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.logfiles.decimals import is_number, told_by, value_of
-from sgms_mhe.logfiles.dialect import UNTOLD, Dialect, fields_of, find_dialect
+from sgms_mhe.logfiles.dialect import UNTOLD, Dialect, fields_of, find_dialect, note_left_out
 from sgms_mhe.logfiles.encoding import decode
 from sgms_mhe.logfiles.json_files import SUFFIXES, find_samples
 from sgms_mhe.logfiles.list_cells import spread_lists
@@ -36,11 +36,7 @@ def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
     is_json = Path(path.stem if path.suffix.lower() == COMPRESSED else path.name).suffix.lower() in SUFFIXES
     dialect = find_samples(path, text) if is_json else find_dialect(path, spread_lists(text), hints, least)
     cells = Cells(path, dialect, hints)
-    notes = []
-    if dialect.after:
-        notes.append(
-            f"{len(dialect.after)} lines after the last sample are left out, the first: {dialect.after[0][:80]}"
-        )
+    notes = note_left_out(dialect.after)
     names, header = [column.name for column in cells.columns], dialect.header
     scales = {names[k]: scale for k, scale in header.scales.items()}
     counted: dict[str, Array] = {
@@ -149,9 +145,8 @@ def _check_length(path: Path, dialect: Dialect, index: int, found: int) -> None:
     """Refuse a row with more or fewer fields than the header has names."""
     count = len(dialect.header.names)
     if found != count:
-        raise InputError(
-            path, dialect.row(index), f"{found} fields", f"{count} fields, as many as the header has names"
-        )
+        allowed = f"{count} fields, as many as the header has names"
+        raise InputError(path, dialect.row(index), f"{found} fields", allowed)
 
 
 def read_plainly(path: Path, dialect: Dialect, indices: Sequence[int]) -> list[Array] | None:
