@@ -18,19 +18,17 @@ _CLOCK: Final = (
     r"(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
 _ZONE: Final = r"(?:\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2}))?"
-_FORMS: Final = (
-    (
-        "ISO 8601",
-        re.compile(rf"(?P<y>\d{{4}})(?P<mark>[-/.])(?P<a>\d{{1,2}})[-/.](?P<b>\d{{1,2}})[T\s]\s*{_CLOCK}{_ZONE}"),
+_FORMS: Final = {
+    "ISO 8601": re.compile(
+        rf"(?P<y>\d{{4}})(?P<mark>[-/.])(?P<a>\d{{1,2}})[-/.](?P<b>\d{{1,2}})[T\s]\s*{_CLOCK}{_ZONE}"
     ),
-    (
-        "date and time",
-        re.compile(rf"(?P<a>\d{{1,2}})(?P<mark>[-/.])(?P<b>\d{{1,2}})[-/.](?P<y>\d{{4}})[T,\s]\s*{_CLOCK}{_ZONE}"),
+    "date and time": re.compile(
+        rf"(?P<a>\d{{1,2}})(?P<mark>[-/.])(?P<b>\d{{1,2}})[-/.](?P<y>\d{{4}})[T,\s]\s*{_CLOCK}{_ZONE}"
     ),
-    ("time of day", re.compile(_CLOCK)),
-    ("minutes and seconds", re.compile(r"(?P<min>\d{1,2}):(?P<s>\d{2})[.,](?P<frac>\d{1,12})")),
-    ("duration", re.compile(r"(?P<span>[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s?(?P<unit>(?:sec|s|ms|us|min|hr|h))")),
-)
+    "time of day": re.compile(_CLOCK),
+    "minutes and seconds": re.compile(r"(?P<min>\d{1,2}):(?P<s>\d{2})[.,](?P<frac>\d{1,12})"),
+    "duration": re.compile(r"(?P<span>[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s?(?P<unit>(?:sec|s|ms|us|min|hr|h))"),
+}
 _SPANS: Final = {"sec": 1e9, "s": 1e9, "ms": 1e6, "us": 1e3, "min": 60e9, "hr": 3600e9, "h": 3600e9}
 """Nanoseconds of the unit behind a duration, as MATLAB writes it."""
 _LAST: Final = frozenset(unit[-1] for unit in _SPANS)
@@ -47,7 +45,7 @@ def is_clock(token: str) -> bool:
 def stamp_form(token: str) -> str | None:
     """Return the kind of time stamp of a field, or None."""
     if ":" in token or token[-1:] in _LAST:
-        return next((name for name, form in _FORMS if form.fullmatch(token)), None)
+        return next((name for name, form in _FORMS.items() if form.fullmatch(token)), None)
     return None
 
 
@@ -61,7 +59,7 @@ class Stamps:
     def __init__(self, order: str | None) -> None:
         self._stated = order
         self._form = ""
-        self._first: tuple[str, dict[str, str | None]] | None = None
+        self._first = ""
         self._dates: set[tuple[str, str, str]] = set()
         self._order: str | None = None
         self._days: dict[tuple[str, str, str], int] = {}
@@ -75,10 +73,10 @@ class Stamps:
         stamp of the first one's form, and for dates that are several and whose order nothing tells.
         """
         found = self._parts(tokens)
-        if self._first is None:
+        if not self._first:
             return np.full(len(tokens), np.nan)
         self._dates |= {(p["a"] or "", p["b"] or "", p["mark"] or "") for p in found if p is not None and "mark" in p}
-        order = "ymd" if self._form == _FORMS[0][0] else self._stated or _date_order(self._dates)
+        order = "ymd" if self._form == "ISO 8601" else self._stated or _date_order(self._dates)
         if order != self._order:
             self._order, self._days = order, {}
         nanoseconds: list[int | None] = []
@@ -90,29 +88,24 @@ class Stamps:
         if order is None and len(self._days) > 1:
             allowed = 'day or month first? [log] (machine file, --log) has dates = "dmy" or dates = "mdy"'
             raise ValueError(0, allowed)
-        start = _nanoseconds(self._first[1], order, self._days)
+        start = _nanoseconds(_split(self._first, self._form) or {}, order, self._days)
         since = np.array([np.nan if value is None else (value - start) / 1e9 for value in nanoseconds])
         return self._go_on(since, _PERIODS[self._form]) if self._form in _PERIODS else since
 
     def _parts(self, tokens: Sequence[str]) -> list[dict[str, str | None] | None]:
         """Each stamp in its parts, None where a field is empty."""
-        if self._first is None:
+        if not self._first:
             k, first = next(((k, t) for k, t in enumerate(tokens) if not is_missing(t)), (0, ""))
-            name = stamp_form(first)
-            if name is None:
-                if not first:
-                    return [None] * len(tokens)
+            if not first:
+                return [None] * len(tokens)
+            self._form = stamp_form(first) or ""
+            if not self._form:
                 raise ValueError(k, "a time stamp")
-            self._form = name
-            match = dict(_FORMS)[name].fullmatch(first)
-            self._first = (first, {} if match is None else match.groupdict())
-        form = dict(_FORMS)[self._form]
-        found: list[dict[str, str | None] | None] = []
+            self._first = first
+        found = [_split(token, self._form) for token in tokens]
         for k, token in enumerate(tokens):
-            match = None if is_missing(token) else form.fullmatch(token)
-            if match is None and not is_missing(token):
-                raise ValueError(k, f"a time stamp like the first, {self._first[0]}")
-            found.append(None if match is None else match.groupdict())
+            if found[k] is None and not is_missing(token):
+                raise ValueError(k, f"a time stamp like the first, {self._first}")
         return found
 
     def _go_on(self, since: Array, period: float) -> Array:
@@ -125,6 +118,11 @@ class Stamps:
             self._turns = int(turns[-1])
             since[good] += period * turns
         return since
+
+
+def _split(token: str, form: str) -> dict[str, str | None] | None:
+    match = _FORMS[form].fullmatch(token)
+    return None if match is None else match.groupdict()
 
 
 def _date_order(dates: Iterable[tuple[str, str, str]]) -> str | None:
