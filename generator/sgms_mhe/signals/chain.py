@@ -236,30 +236,29 @@ def settle_samples(machine: Machine) -> int:
 
 def readings(log: Log) -> Log:
     """The log with NaN for whatever is no measurement."""
-    limits = {"position_m": FARTHEST_m}
-    limits |= dict.fromkeys(("force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"), LARGEST_SIGNAL)
     spoilt: dict[str, Any] = {}
-    for name, limit in limits.items():
-        channel = getattr(log, name)
-        if channel is not None and np.any(np.abs(channel) >= limit):
+    for name, channel in _channels(log).items():
+        limit = FARTHEST_m if name == "position_m" else LARGEST_SIGNAL
+        if np.any(np.abs(channel) >= limit):
             spoilt[name] = np.where(np.abs(channel) < limit, channel, np.nan)
     return replace(log, **spoilt) if spoilt else log
 
 
+def _channels(log: Log) -> dict[str, Array]:
+    """The columns that the chain takes."""
+    return {name: values for name, values in log.columns.items() if name not in ("time_s", "temperature_degC")}
+
+
 def _missing(log: Log) -> Mask:
     """Samples at which a channel has no measurement."""
-    given = (log.position_m, log.force_N, log.velocity_m_s, log.acceleration_m_s2, log.friction_N)
-    finite: Mask = np.logical_and.reduce([np.isfinite(channel) for channel in given if channel is not None])
+    finite: Mask = np.logical_and.reduce([np.isfinite(channel) for channel in _channels(log).values()])
     return ~finite
 
 
 def _bridge(log: Log) -> Log:
     """The log with every gap between two measurements filled."""
     filled: dict[str, Any] = {}
-    for name in ("position_m", "force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"):
-        channel = getattr(log, name)
-        if channel is None:
-            continue
+    for name, channel in _channels(log).items():
         good = np.flatnonzero(np.isfinite(channel))
         absent = np.flatnonzero(~np.isfinite(channel))
         if len(good):

@@ -84,7 +84,7 @@ def encoder_step(position: NDArray[np.float64]) -> float:
         counted = float(np.mean(even[others])) > EVEN and float(np.mean(even)) > EVEN
     else:
         # One step at a time: a motion of constant speed has changes of one size as well, but no pauses between them.
-        moves = np.abs(np.diff(position)) > 0.5 * step
+        moves = changes > 0.5 * step
         alone = ~moves[:-2] | ~moves[2:]
         counted = float(np.mean(alone[moves[1:-1]])) > ALONE if moves[1:-1].any() else False
     return step if counted else _find_step_at_speed(position, changes)
