@@ -198,9 +198,9 @@ def test_a_position_without_a_usable_unit_is_no_missing_one(unit: str, tmp_path:
 def test_what_is_missing_is_of_the_kind_that_units_tell(names: tuple[str, ...], missing: str, tmp_path: Path) -> None:
     log = rotor(6)
     path = write(tmp_path / "log.csv", **dict(zip(names, (log.time_s, log.position_m, log.force_N), strict=True)))
-    with pytest.raises(InputError, match=f"missing: a column {missing};"):
-        read_log(path)
     force = "torque_Nm" if missing == "position_rad" else "force_N"
+    with pytest.raises(InputError, match=f"missing: a column {missing} and a column {force};"):
+        read_log(path)
     assert json.loads(run("inspect", path, "--json").stdout)["missing"] == [missing, force]
 
 

@@ -356,7 +356,7 @@ def test_single_row_is_refused(tmp_path: Path) -> None:
 
 def test_csv_without_header_is_refused(tmp_path: Path) -> None:
     error = refused(write_rows(tmp_path / "log.csv", rows_of(a_log())[1:], header="0.0,1.0,2.0"))
-    assert error.where == "column time_s"
+    assert error.where == "columns time_s, position_m, force_N"
     assert "the file has column 1, column 2, column 3" in error.allowed
 
 

@@ -14,11 +14,11 @@ from c_packages import PRECISIONS, STRICT, build, package_of, run, symbols, writ
 from sgms_bench.target.firmware import double_arithmetic
 from sgms_bench.target.stacks import call_paths
 from sgms_bench.verification.faults import FAULTS
-from sgms_bench.verification.ways_out import spoil_outputs
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package, write_package
 from sgms_mhe.evaluation.acceptance import build_selftest
 from sgms_mhe.host.targets import TARGETS, Target, emulate
+from ways_out import spoil_outputs
 
 GENERATED = Path(__file__).parents[1] / "generated"
 Tool = Callable[[str], str]

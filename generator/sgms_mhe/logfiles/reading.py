@@ -272,6 +272,11 @@ def _read_file(path: Path, mapping: LogMapping | None, least: int) -> Table:
         return reader(path)
     except OSError as error:
         raise InputError(path, "file", None, f"a readable log ({error.strerror or error})") from None
+    except InputError as error:
+        if reader is not None or any(suffix.lower() in (*TEXTS, *SUFFIXES) for suffix in path.suffixes):
+            raise
+        allowed = f"{error.allowed}; or a log with one of the suffixes {', '.join((*TEXTS, *SUFFIXES, *READERS))}"
+        raise InputError(path, error.where, error.value, allowed) from None
 
 
 def _on_grid(timing: Timing, rate: float | None) -> bool:
