@@ -552,7 +552,9 @@ def test_a_level_that_is_not_reached_is_open(rise: float, seed: int) -> None:
     found = identify([record], Wanted("slow", mass=12.0))
     numbers = {number.name: number for number in found.numbers}
     for name, value in truth.items():
-        assert abs(numbers[name].value - value) <= 3.0 * numbers[name].std, (name, numbers[name])
+        number = numbers[name]
+        says_nothing = math.isnan(number.std) and not number.determined
+        assert says_nothing or abs(number.value - value) <= 3.0 * number.std, (name, number)
     assert not numbers["stribeck_velocity"].determined
     assert any("no motion is faster than" in sentence for sentence in found.limits)
 
