@@ -844,7 +844,6 @@ def test_resonance_that_the_substeps_do_not_resolve_is_refused(machine: Machine)
     [
         ("position_spring", {"stiffness_N_m": -16e6, "centre_m": 0.0}),
         ("asymmetric_viscous", {"difference_N_s_m": 2e6}),
-        ("quadratic_drag", {"coefficient_N_s2_m2": -4e5}),
     ],
     ids=lambda effect: str(effect[0]),
 )
