@@ -160,7 +160,7 @@ notebooks: $(STAMP) ## examples/notebooks/*.ipynb from the scripts beside them
 # One thread per worker: numerical libraries that each take all cores slow each other down.
 PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS)
 
-test: $(STAMP) ## all tests but those marked slow: twenty minutes on two cores
+test: $(STAMP) ## all tests but those marked slow
 	$(PYTEST) --dist worksteal -m "not slow" $(PYTEST_ARGS)
 
 test-slow: $(STAMP) ## the tests marked slow
