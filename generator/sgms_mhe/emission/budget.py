@@ -1,4 +1,4 @@
-"""What the calls take at most, and the budget of a tick: a machine whose longest takes more is refused."""
+"""Largest work of the calls, and the budget of a tick: a machine whose longest takes more is refused."""
 
 from __future__ import annotations
 

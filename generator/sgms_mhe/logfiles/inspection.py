@@ -76,7 +76,7 @@ class Inspection:
 
 
 _SHOWN: Final = ("unit", "because", "scale", "offset", "counts_per", "wrap", "signed")
-"""What is shown of a column's source."""
+"""Return the source of a column as it is shown."""
 
 
 @dataclass(frozen=True)

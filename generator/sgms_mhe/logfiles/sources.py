@@ -56,7 +56,7 @@ class Source:
 
     @property
     def keys(self) -> dict[str, Any]:
-        """What [log] has to state of it."""
+        """Return the entry of [log] that it needs."""
         said = {"variable": self.column, "row": self.row, "unit": self.unit, "scale": self.scale, "offset": self.offset}
         said |= {"counts_per": self.counts_per, "wrap": self.wrap, "signed": self.signed}
         silent = {"scale": 1.0, "offset": 0.0}

@@ -1,4 +1,4 @@
-"""What pages show more than once, as their templates take it: tiles, and tables with a bar in each row."""
+"""Pieces that several pages show, as their templates take them: tiles, and tables with a bar in each row."""
 
 from __future__ import annotations
 
