@@ -44,7 +44,6 @@ GAPS: Final[tuple[Gap, ...]] = (
     Gap("update", r"all_finite\(&friction|return start_again", NO_NUMBER),
     Gap("sgms_filter_disturbed", r"counts\[0\] != 3|counts\[2\] < chain->settle|valid = 1", GUARD),
     Gap("sgms_exp", r"SGMS_EXP_HIGHEST", GUARD),
-    Gap("take_colour", r"block\[2\] > 0\.0", GUARD),
     Gap("start_sweep|workload_of", r"self->linearisation\.slot < SLOTS", DAMAGED),
     Gap(
         "output_force",

@@ -26,7 +26,7 @@ from sgms_mhe.machine import Machine
 
 VERSIONS: Final = ("", "-18", "-19", "-20", "-21")
 """Of clang and its tools, as Debian names them; 18 is the first that counts conditions."""
-FLAGS: Final = ("-std=c99", "-O1", "-ffp-contract=off")
+FLAGS: Final = ("-std=c99", "-O1", "-ffp-contract=off", "-DSGMS_VECTORS=1")
 COUNTED: Final = ("-fprofile-instr-generate", "-fcoverage-mapping", "-fcoverage-mcdc")
 
 UNDECIDED: Final[Mapping[tuple[str, str], str]] = {
