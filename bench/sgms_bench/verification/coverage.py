@@ -27,7 +27,7 @@ from sgms_bench.verification.outcome import (
 from sgms_mhe.emission.package import Package, write_package
 from sgms_mhe.machine import Machine
 
-# Without inlining every branch of a function stands for all of its callers, once; several lanes need more lines than one.
+# Without inlining every branch of a function stands for all of its callers, once; several lanes have most lines.
 FLAGS: Final = ("-std=c99", "-O0", "-ffp-contract=off", "-DSGMS_VECTORS=1", "--coverage", "-fno-inline")
 INLINED: Final = "__attribute__((always_inline)) inline"
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE
 from sgms_mhe.identification.final_fit import FinalIdentification, is_apart, late_force
@@ -17,7 +16,6 @@ from sgms_mhe.identification.fits import (
     NumberEstimate,
     RecordView,
     Shape,
-    find_resolved_distance,
     fit_axis,
     hold_shape,
 )
@@ -145,8 +143,8 @@ def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Numb
     numbers = [_number("coulomb", found["coulomb"])]
     numbers += [_number(f"stiffness_{k}", found[f"stiffness_{k}"]) for k in range(1, count + 1)]
     numbers += [_number(f"fraction_{k}", found[f"fraction_{k}"], upper=1.0) for k in range(1, count + 1)]
-    stiffest = final.fit.levels / find_resolved_distance(final.view, shape)
-    held = {f"stiffness_{k + 1}": float(stiffest[k]) for k in np.flatnonzero(find_unresolved(final))}
+    stiffest = final.fit.levels / final.written.shape.distances
+    held = {f"stiffness_{k + 1}": float(stiffest[k]) for k in np.flatnonzero(final.unresolved)}
     numbers = [_number(n.name, NumberEstimate(held[n.name], math.inf)) if n.name in held else n for n in numbers]
     if "viscous" in found:
         numbers.append(_number("viscous", found["viscous"]))
@@ -166,14 +164,6 @@ def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Numb
             n if _stem(n.name) in ELASTIC else replace(n, determined=False, note=n.note or STAND_IN) for n in numbers
         ]
     return tuple(numbers)
-
-
-def find_unresolved(final: FinalIdentification) -> NDArray[np.bool_]:
-    """Return which elements (k) break away within a few counts, or what a fit follows, and are not known to."""
-    fit, least = final.fit, final.view.limits[0]
-    known = [final.numbers[f"stiffness_{k + 1}"].relative <= KNOWN for k in range(len(fit.levels))]
-    surely = np.array(known) & (fit.shape.distances > least)
-    return (fit.shape.distances < find_resolved_distance(final.view, fit.shape)) & ~surely
 
 
 def _stem(name: str) -> str:
@@ -312,13 +302,13 @@ def list_limits(
     ]
     said += _late(final, view, units)
     travel, fit = view.rows.extents.travel, final.fit
-    resolved = find_resolved_distance(view, fit.shape)
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
         element = f"element {k} (breaks away after {distance:.2g} {length})"
-        if find_unresolved(final)[k - 1]:
+        if final.unresolved[k - 1]:
+            held = float(final.written.shape.distances[k - 1])
             said.append(
-                f"element {k} (breaks away within {resolved:.2g} {length}): no more than the log resolves; the file "
-                f"has the least stiff one that does, {level / resolved:.2g} {units.stiffness}"
+                f"element {k} (breaks away within {held:.2g} {length}): no more than the log resolves; the file "
+                f"has the least stiff one that explains it, {level / held:.2g} {units.stiffness}"
             )
         elif distance > SLID * travel:
             said.append(

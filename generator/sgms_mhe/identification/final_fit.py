@@ -32,6 +32,7 @@ from sgms_mhe.identification.fits import (
     largest_noise_bias,
     noise_share,
     quantities,
+    soften_stand_ins,
 )
 from sgms_mhe.identification.plain import measure_unseen
 from sgms_mhe.identification.record_numbers import add_spread, fit_record_terms
@@ -62,6 +63,7 @@ from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 SHOWN: Final = 2.0
 """Standard deviations by which a number differs from none."""
@@ -101,6 +103,7 @@ class FinalIdentification:
         held_out_rms: residual of a fit of two thirds on the last third of the blocks [N].
         stated_rms: the same without errors of timing, as the file has none [N].
         view: the records as they were fitted.
+        written: the fit with elements as the file has them.
         rivals: effects that explain the records as well as one that was chosen, or that its motion does not tell from
             it, by its name.
         beside_mass: effects whose deviations are those beside a free mass: the one given is all that speaks for them.
@@ -113,8 +116,14 @@ class FinalIdentification:
     held_out_rms: float
     stated_rms: float
     view: RecordView
+    written: AxisFit
     rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     beside_mass: tuple[str, ...] = ()
+
+    @property
+    def unresolved(self) -> Mask:
+        """Elements (k) of which the file has stand-ins, as the records tell them from none that breaks away earlier."""
+        return self.written.shape.distances > self.fit.shape.distances
 
 
 @dataclass(frozen=True)
@@ -223,8 +232,10 @@ def state_numbers(
     if "viscous" in dropped:  # held at 0 it would make the level look surer than it is
         numbers["coulomb"] = replace(numbers["coulomb"], std=wide["coulomb"].std)
     left, stated = measure_unseen(view, fit)
+    known = [numbers[f"stiffness_{k + 1}"].relative <= UNSURE for k in range(len(fit.levels))]
+    written = soften_stand_ins(view, fit, np.array(known))
     rivals = {name: others for name, others in rivals.items() if fit.place(name).stop}
-    return FinalIdentification(fit, cov, numbers, mass, left, stated, view, rivals, beside)
+    return FinalIdentification(fit, cov, numbers, mass, left, stated, view, written, rivals, beside)
 
 
 def _law_covariance(view: RecordView, fit: AxisFit) -> Array:

@@ -45,8 +45,11 @@ WIDER: Final = 4.0
 FINER: Final = 100.0
 """Below its smallest: that an element breaks away before an encoder sees it must not make it break away late."""
 COUNTS: Final = 3.5
-"""Times its smallest, about as many counts of an encoder: elements of a file that are not known break away after it.
-Stiffer ones would slip with every count that a reading flickers by."""
+"""Times its smallest, about as many counts of an encoder: elements of a file that are not known break away after it."""
+HALVINGS: Final = 5
+"""Halvings of that distance that are tried, until they leave no more than"""
+LATENESS: Final = 0.08
+"""of the level [-] beyond what those that break away earlier do."""
 STRIBECK: Final = (1e-4, 5.0)
 """Stribeck velocities that a fit follows, over the fastest speed: beyond that, the intervals say what is open."""
 MOST_NOISE: Final = 0.5
@@ -359,9 +362,21 @@ def distance_limits(law: Law, rise: Stribeck | None, view: RecordView) -> tuple[
     return low, max(low, high * WIDER)
 
 
-def find_resolved_distance(view: RecordView, shape: Shape) -> float:
-    """Return the break-away distance [m] of an element that breaks away within what the records tell."""
-    return max(COUNTS * view.limits[0], distance_limits(shape.law, shape.rise, view)[0])
+def soften_stand_ins(view: RecordView, fit: AxisFit, known: Mask) -> AxisFit:
+    """Return the fit whose elements that break away within a few counts, and are not known, do so as late as is free.
+
+    An encoder does not tell how early they do. One that breaks away within a count slips with every count that a
+    reading flickers by, at rest, which these records need not show; one that does later holds back at each reversal.
+    """
+    distances, earliest = fit.shape.distances, distance_limits(fit.shape.law, fit.shape.rise, view)[0]
+    unresolved = (distances < max(COUNTS * view.limits[0], earliest)) & ~(known & (distances > view.limits[0]))
+    softer = fit
+    for latest in COUNTS * view.limits[0] * 0.5 ** np.arange(HALVINGS):
+        held = np.where(unresolved, np.maximum(distances, max(latest, earliest)), distances)
+        softer = fit_axis(view, fit.terms, replace(fit.shape, distances=held), iterations=0)
+        if softer.rms**2 - fit.rms**2 <= (LATENESS * fit.coulomb) ** 2:
+            break
+    return softer
 
 
 def stribeck_limits(view: RecordView) -> tuple[float, float]:

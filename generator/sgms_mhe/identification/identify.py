@@ -403,7 +403,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, (*unexcited, *explored.unseen)))
     rows = views.fine.rows
-    floor = noise_floor(rows, fit.residual, largest_force(rows, encoder_forces(views.fine, fit)))
+    floor = noise_floor(rows, fit.residual, largest_force(rows, encoder_forces(views.fine, final.written)))
     limits = [
         *explored.said,
         *said,
