@@ -81,9 +81,10 @@ static void move_on(motion *m)
 static etel_xy_controller_position motion_position(motion *m)
 {
     const int32_t since = m->sample - SELFTEST_GAP;
-    return since >= 0 && since < SELFTEST_MISSING ? no_position()
-                                                  : etel_xy_controller_position_from_wrapped_counts(
-                                                      &m->counter, (uint32_t)m->position, 31);
+    if (since >= 0 && since < SELFTEST_MISSING) {
+        return no_position();
+    }
+    return etel_xy_controller_position_from_wrapped_counts(&m->counter, (uint32_t)m->position, 31);
 }
 
 static sgms_real measured_force(const motion *m)
@@ -944,8 +945,10 @@ static int refuses_overlap(etel_xy_controller_t *axis, motion *m)
     sgms_real share, force = 0.0f;
     int good = start_moving(axis, BY_SAMPLE, m);
     const uint32_t update = axis->estimate.update;
-    good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && good;
-    axis->calls.phase = 1u; /* prepare() is under way */
+    const int32_t done = axis->sweep.cursor;
+    axis->calls.phase = 1u; /* prepare() is under way: tick() leaves its work alone */
+    good = go_along(axis, BY_TICK, m, SAMPLES, &force) && good;
+    good = good && axis->sweep.cursor == done;
     good = good && etel_xy_controller_feedback(axis) == ETEL_XY_CONTROLLER_OVERLAP &&
         axis->estimate.update == update;
     share = etel_xy_controller_share(axis);

@@ -16,6 +16,10 @@ LEAST_REST = 0.02
 WIDE_SWITCH = 1e-3
 """Share of the level over which elements that switch go over to slipping, where a solver has to follow them."""
 
+STICKS = 1.0 - 2.0**-16
+"""Share of the level below which an element sticks: one that slips is at its level but for rounding, which must not
+decide, in single precision neither."""
+
 # tanh(18.5) differs from 1 by less than half a unit in the last place of a double.
 SATURATED = 18.5
 
@@ -129,7 +133,7 @@ def add_friction(
         rho = symbols.stiffness[i] / (nu * symbols.coulomb)
         if smoothing is None:
             along = ca.sign(v) * chi
-            rate = rho * v * (ca.fmin(1.0, (level - along) / switch_width) if switch_width else along < level)
+            rate = rho * v * (ca.fmin(1.0, (level - along) / switch_width) if switch_width else along < STICKS * level)
         else:
             r = chi / level
             slip = window(r, smoothing)
