@@ -437,6 +437,17 @@ void axis_place(struct axis *axis, double position)
     axis->level += change_now(axis, AXIS_LOAD_LEVEL, 0.0);
 }
 
+void axis_move(struct axis *axis, double velocity, const double *deflection)
+{
+    axis->velocity = velocity;
+    axis->level = stribeck(axis, velocity) * change_now(axis, AXIS_LEVEL_FACTOR, 1.0);
+    axis->level += change_now(axis, AXIS_LOAD_LEVEL, 0.0);
+    for (int i = 0; i < axis->elements; ++i) {
+        const double most = axis->set.fraction[i] * axis->level / axis->set.stiffness[i];
+        axis->deflection[i] = fmin(fmax(deflection[i], -most), most);
+    }
+}
+
 /* ---- a sample ----------------------------------------------------------------------------------------------- */
 
 static double reference_at(const double *reference, size_t length, size_t k)

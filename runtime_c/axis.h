@@ -174,6 +174,10 @@ int axis_apply(struct axis *axis);
 /* Put the axis at rest at a position. */
 void axis_place(struct axis *axis, double position);
 
+/* Let an axis that was placed start in motion, its elements deflected by so much [m], none beyond its level. Effects
+ * start as at rest. */
+void axis_move(struct axis *axis, double velocity, const double *deflection);
+
 /* Fill row `row` of the columns with the present state, without a step. 0 where the axis left the world. */
 int axis_observe(struct axis *axis, const struct axis_record *record, size_t row);
 

@@ -63,7 +63,8 @@ def test_it_is_valid_and_every_number_has_a_unit(base: str, version: int, tmp_pa
     assert all(v.unit for v in variables.values())
     assert {v.unit for v in variables.values()} <= {unit.name for unit in description.unitDefinitions}
     numbers = axis_numbers(machine)
-    assert [v for v in variables if variables[v].causality == "parameter"][1:] == [n.name for n in numbers]
+    tunable = [v for v in variables if (variables[v].causality, variables[v].variability) == ("parameter", "tunable")]
+    assert tunable == [n.name for n in numbers]
     for number in numbers:
         assert float(variables[number.name].start) == number.value
         assert variables[number.name].unit == (number.unit.replace("^", "").replace(" ", ".") or "1")
@@ -137,6 +138,30 @@ def test_it_moves_as_simulate_does(base: str, version: int, tmp_path: Path) -> N
     wanted = (truth.position_m, truth.velocity_m_s, truth.friction_N, truth.effect_force_N)
     for name, column, series in zip(names, found.T, (*wanted, run.log.position_m, run.log.force_N), strict=True):
         np.testing.assert_array_equal(column, series[1:], err_msg=name)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("base", ["etel_xy", "etel_xy_switching"])
+def test_it_starts_within_a_motion(base: str, version: int, tmp_path: Path) -> None:
+    machine = machine_with(base=base)
+    run = simulate_axis(machine, make_trajectory("paper", machine.sampling.rate, duration_s=1.0), BARE)
+    truth = run.truth
+    assert truth is not None
+    k = int(np.argmax(np.abs(truth.velocity_m_s[: len(truth.velocity_m_s) // 2])))
+    starts = {"start_position": truth.position_m[k], "start_velocity": truth.velocity_m_s[k]}
+    starts |= {f"start_deflection_{i}": z for i, z in enumerate(truth.deflection_m[k], 1)}
+    with slave_of(exported(machine, version, tmp_path), tmp_path / "unpacked", started=False) as slave:
+        slave["start_deflection_1"] = 1.0  # no further than its level
+        assert slave["friction"] < 2.0 * machine.friction.coulomb * (1.0 + machine.friction.stribeck_ratio)
+        for name, value in starts.items():
+            slave[name] = value
+        assert slave["velocity"] == truth.velocity_m_s[k]
+        slave.start()
+        found = slave.run(truth.force_N[k + 1 :], ("position", "velocity"))
+        with pytest.raises(FMICallException):
+            slave["start_velocity"] = 0.0
+    wanted = np.column_stack((truth.position_m, truth.velocity_m_s))[k + 1 :]
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

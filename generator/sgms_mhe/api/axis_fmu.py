@@ -6,7 +6,7 @@ import hashlib
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any, Final, Literal
 
@@ -68,7 +68,7 @@ def write_fmu(machine: Machine, version: Literal[2, 3]) -> WrittenAxis:
         "refusable": "a parameter",
         "settings": tuple(_settings(machine)),
         "effects": effects,
-        "start": next(v for v in variables if v.name == "start_position"),
+        "starts": [v for v in variables if v.variability == "fixed"],
         "tunable": tunable,
     }
     files = {f"sources/{file}": text for file, text in texts.items()}
@@ -155,8 +155,12 @@ def _variables(machine: Machine) -> tuple[tuple[Variable, ...], tuple[_Tunable, 
         rows.append(Variable(len(rows) + 1, name, "Real", "parameter", unit, text, code, start, *bounds))
         return rows[-1]
 
-    text = "position at the start, before the first step"
-    add_parameter("start_position", units.position, text, "self->start_position", "0.0", -_FARTHEST, _FARTHEST)
+    starts = [("position", units.position), ("velocity", units.velocity)]
+    starts += [(f"deflection_{i}", units.position) for i in range(1, machine.friction.n_z + 1)]
+    for k, (name, unit) in enumerate(starts):
+        text, code = f"{name} at the start, before the first step", f"self->start[{k}]"
+        row = add_parameter(f"start_{name}", dot_unit(unit), text, code, "0.0", -_FARTHEST, _FARTHEST)
+        rows[-1] = replace(row, variability="fixed")
     tunable = []
     for number, places, limits in _places(machine):
         if not places:  # of a table, which is the C's own

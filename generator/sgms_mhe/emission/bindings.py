@@ -103,12 +103,13 @@ class Variable:
         reference: its number among all, from 1; 0 is time.
         name: unique, with dots and indices.
         kind: of number.
-        causality: of whom it comes; parameters may change while the axis runs.
+        causality: of whom it comes.
         unit: in the notation of FMI; empty where it has none.
         text: what it is.
         code: C expression that reads it, of `self`, an axis with its inputs, and `now`, its estimate.
         start: where it does not come from the estimator.
         least, most: limits, where it has any.
+        variability: of a parameter: while the axis runs, or before its first step alone.
     """
 
     reference: int
@@ -121,6 +122,7 @@ class Variable:
     start: str | None = None
     least: float | None = None
     most: float | None = None
+    variability: Literal["tunable", "fixed"] = "tunable"
 
     @property
     def exponents(self) -> str:
