@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -10,6 +10,8 @@ import casadi as ca
 
 SIGNAL_NAMES = ("position", "velocity", "acceleration", "force", "time")
 """Order of the measured signals w of docs/model.md."""
+Expressions = Mapping[str, ca.SX]
+"""Parameters of an effect by name."""
 MEAN_ACCELERATION: Final = "mean_acceleration"
 """One more signal, where the mass is uncertain: its noise is not that of the measured friction."""
 

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
-import casadi as ca
 import numpy as np
 from scipy.signal import lfilter
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, MotionRecord
 from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, no_shorter, shortest_lag, time_apart
-from sgms_mhe.model.effects.motion import MotionRecord
-from sgms_mhe.model.effects.search import Array, Columns
+from sgms_mhe.model.effects.search import Array, Columns, Values
 from sgms_mhe.model.effects.specimen import Specimen
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     """Real force = logged force behind a first-order lag, so the log is ahead by (logged - lagged).
 
     Time constants below a quarter sample are lengthened to what the integrator follows, and the difference is scaled

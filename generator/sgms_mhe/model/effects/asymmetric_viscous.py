@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.scales import Scales
-from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.add_force(p["difference_N_s_m"] * ca.fabs(axis.velocity))
-
-
-def _brakes_both_ways(p: Mapping[str, float], scales: Scales) -> bool:
+def _brakes_both_ways(p: Values, scales: Scales) -> bool:
     """Return True if neither direction drives the axis, up to its largest speed."""
     return abs(p["difference_N_s_m"]) <= scales.damping + scales.coulomb_over_speed
 
@@ -29,7 +20,7 @@ DEFINITION = EffectDefinition(
     name="asymmetric_viscous",
     summary="viscous friction different in the two directions",
     parameters=(EffectParameter("difference_N_s_m", 0.0, 0.1, "sigma_v + difference sign(v)", unit="damping"),),
-    contribute=_contribute,
+    contribute=lambda axis, p, _: axis.add_force(p["difference_N_s_m"] * ca.fabs(axis.velocity)),
     excitation=Excitation(
         "both directions at constant speeds that differ by a factor of three",
         (Need("both_directions", 0.1), Need("speed_ratio", 2.0)),

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.motion import MotionRecord
-from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need
+from sgms_mhe.model.effects.parameters import step_by_factor
 from sgms_mhe.model.effects.search import Array, Trials, Values
 from sgms_mhe.model.effects.specimen import one_number
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
@@ -25,7 +22,7 @@ _RELEASE = 40.0  # over f_C: how sharply contact ends where the elements' force 
 _LEAST_GAP = 3e-7
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     """Position in the gap b, -1 to 1: db/dt = (2 / gap) v (1 - e), and the elements move with e v.
 
     Contact e: on the + side while the mass pushes on (v > 0) or the elements still push back; so on the other side.

@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Columns, one_size
 from sgms_mhe.model.effects.specimen import Concealed, one_number
-
-
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.add_force(p["force_N"])
-
 
 DEFINITION = EffectDefinition(
     name="constant_offset",
     summary="constant force, independent of motion",
     parameters=(EffectParameter("force_N", 0.0, 0.1, "force opposing positive drive force", unit="coulomb"),),
-    contribute=_contribute,
+    contribute=lambda axis, p, _: axis.add_force(p["force_N"]),
     loads=True,
     excitation=Excitation(
         "sliding in both directions, and reversals: below break-away only an offset is left",

@@ -7,14 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-import casadi as ca
-
 from sgms_mhe.machine.units import Kind
-from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.scales import Scales
-from sgms_mhe.model.effects.search import Derivative, Harmonic, Periodic, Search
+from sgms_mhe.model.effects.search import Derivative, Harmonic, Periodic, Search, Values
 from sgms_mhe.model.effects.specimen import Specimen
 
 Stage = Literal["signal", "level", "force", "motor", "log", "actuator"]
@@ -25,12 +23,12 @@ factors on friction; forces; from force to motor current; from current to the lo
 ReadAs = Literal["load", "curve"]
 READ_AS: Final[tuple[ReadAs, ...]] = ("load", "curve")
 """Sums of effects' forces that other effects may read: `SymbolicAxis.load` and `.curve`."""
-Contribution = Callable[[SymbolicAxis, Mapping[str, ca.SX], Mapping[str, float]], None]
+Contribution = Callable[[SymbolicAxis, Expressions, Values], None]
 Value = float | tuple[float, ...]
 """Of a parameter in a machine file: a number, or a list of them."""
 
 
-def _always(_: Mapping[str, float], __: Scales) -> bool:
+def _always(_: Values, __: Scales) -> bool:
     return True
 
 
@@ -46,7 +44,7 @@ def _no_fault(_: Mapping[str, Value]) -> Fault | None:
     return None
 
 
-PlantForce = Callable[[float, float, float, Mapping[str, float]], float]
+PlantForce = Callable[[float, float, float, Values], float]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -111,7 +109,7 @@ class EffectDefinition(CauseDefinition):
     fit_displacement: float | None = None
     fault: Callable[[Mapping[str, Value]], Fault | None] = _no_fault
     learned: bool = False
-    possible: Callable[[Mapping[str, float], Scales], bool] = _always
+    possible: Callable[[Values, Scales], bool] = _always
     delays: str = ""
     adds_mass: str = ""
     smooth_only: str = ""
@@ -136,7 +134,7 @@ class EffectDefinition(CauseDefinition):
                 found[parameter.entry(1) if key == parameter.name else key] = float(value)
         return found
 
-    def lists(self, values: Mapping[str, float]) -> dict[str, Value]:
+    def lists(self, values: Values) -> dict[str, Value]:
         """Parameters as a machine file has them, from their entries: lists joined again."""
         found: dict[str, Value] = {}
         for key, value in values.items():
@@ -148,7 +146,7 @@ class EffectDefinition(CauseDefinition):
                 found[key] = value
         return found
 
-    def names(self, values: Mapping[str, float]) -> tuple[str, ...]:
+    def names(self, values: Values) -> tuple[str, ...]:
         """Names of all parameters in the order of reports, of the lists as many entries as the values have."""
         count = max((1, *(p.index(name) for p in self.parameters for name in values)))
         return tuple(p.entry(i) for p in self.parameters for i in range(1, count + 1 if p.array else 2))
@@ -188,7 +186,7 @@ class EffectDefinition(CauseDefinition):
         """Names of size, period and phase where the effect is a sine."""
         return self.search if isinstance(self.search, Harmonic) else None
 
-    def tidy(self, values: Mapping[str, float]) -> dict[str, float]:
+    def tidy(self, values: Values) -> dict[str, float]:
         """Parameters as a report states them: of a sine the size positive, the phase within one turn."""
         tidy = dict(values)
         size, angle = (self.sine.size, self.sine.phase) if self.sine is not None else self.polar or ("", "")

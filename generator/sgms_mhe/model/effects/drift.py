@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final
 
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
@@ -36,7 +36,7 @@ def drift_parameters(level: str) -> tuple[EffectParameter, ...]:
     )
 
 
-def drift_factor(axis: SymbolicAxis, p: Mapping[str, ca.SX]) -> ca.SX:
+def drift_factor(axis: SymbolicAxis, p: Expressions) -> ca.SX:
     """1 + ratio (1 - exp(-t / time constant))."""
     return 1.0 + p["ratio"] * (1.0 - ca.exp(-axis.time / p["time_constant_s"]))
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import casadi as ca
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Simpler
 from sgms_mhe.model.effects.search import Array, Columns, Values
 from sgms_mhe.model.effects.specimen import one_number
 from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
@@ -18,7 +15,7 @@ from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
 _LEAST = 0.5
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
     """T = eta u where the drive drives, T = u / eta where the load does; what is lost is friction's.
 
     Lost is |T| (1 / eta - 1) and |T| (1 - eta), by the sign of T v. Below break-away friction takes what it has to.

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.motion import Extents, MotionRecord
-from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Extents, MotionRecord, Need, Simpler
+from sgms_mhe.model.effects.parameters import step_by_factor
 from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import Derivative, Values
 from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     # Age d, 0 to 1: dd/dt = (1 - d) / time_constant - |v| d / length, on s(v) (1 + ratio d)
     state = add_effect_state(
         axis,
@@ -40,12 +35,12 @@ def _trials(motion: MotionRecord) -> list[Values]:
     return [{"time_constant_s": time, "length_m": length} for length in lengths for time in (0.04, 0.12, 0.4, 1.2)]
 
 
-def _rises(p: Mapping[str, float], _: Scales) -> bool:
+def _rises(p: Values, _: Scales) -> bool:
     """A contact that rests grows stronger."""
     return p["ratio"] >= 0.0
 
 
-def _is_speed_alone(p: Mapping[str, float], extents: Extents) -> bool:
+def _is_speed_alone(p: Values, extents: Extents) -> bool:
     """The contact's age is then that of the speed of the moment, and the level a curve over speed."""
     return p["time_constant_s"] < 5.0 / extents.rate
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import casadi as ca
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
-from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
+from sgms_mhe.model.effects.search import Harmonic, Values, ones
 from sgms_mhe.model.effects.sines import phase, pitch
 from sgms_mhe.model.effects.specimen import ripple
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
     """Reading = q + A sin(k q + phi): its derivatives give the real velocity and acceleration.
 
     v_read = v (1 + A k cos), a_read = a (1 + A k cos) - A k^2 v^2 sin. The angle at the measurement is one

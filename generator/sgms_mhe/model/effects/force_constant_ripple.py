@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import casadi as ca
-
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
+from sgms_mhe.model.effects.search import Values
 from sgms_mhe.model.effects.sines import phase, pitch, ripple_search, sine
 from sgms_mhe.model.effects.specimen import ripple
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
     axis.drive = axis.drive / (1.0 + p["ratio"] * sine(axis.position, p["pitch_m"], p["phase_rad"]))
 
 

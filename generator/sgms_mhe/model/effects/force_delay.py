@@ -7,19 +7,18 @@ drive's own cycles bring to the motor later.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, no_shorter, shortest_lag, time_apart
-from sgms_mhe.model.effects.search import Array, Columns, one_size
-from sgms_mhe.model.effects.specimen import Specimen, Values
+from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
+from sgms_mhe.model.effects.specimen import Specimen
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     if nominal["delay_s"] < 0.0:
         _advance(axis, -p["delay_s"], -nominal["delay_s"])
     else:

@@ -2,23 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.sines import phase, pitch, ripple_search, sine
 from sgms_mhe.model.effects.specimen import ripple
-
-
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.add_force(p["amplitude_N"] * sine(axis.position, p["pitch_m"], p["phase_rad"]))
-
 
 DEFINITION = EffectDefinition(
     name="force_ripple",
@@ -28,7 +16,7 @@ DEFINITION = EffectDefinition(
         pitch(0.032, 0.001),
         phase("position"),
     ),
-    contribute=_contribute,
+    contribute=lambda axis, p, _: axis.add_force(p["amplitude_N"] * sine(axis.position, p["pitch_m"], p["phase_rad"])),
     excitation=Excitation(
         "travel over at least one and a half pitches, so slow that samples resolve the pitch",
         (Need("travel_m", 1.5, times="pitch_m"), Need("moving_s", 0.3)),

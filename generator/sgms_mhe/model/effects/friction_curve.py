@@ -7,7 +7,7 @@ so that no sum of the curve's numbers is one of theirs; and as it is none at res
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final, TypeVar
 
@@ -15,12 +15,9 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.motion import MotionRecord, direction, shift_to_sample
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need, Simpler
+from sgms_mhe.model.effects.motion import direction, shift_to_sample
 from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import Array, Columns, Values
 
@@ -59,7 +56,7 @@ _END: Final = EffectParameter(
 )
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
     """sign(v) c(|v|), c smooth from 0 at rest through its knots to 0 at `end`, and 0 beyond.
 
     Written as a sum over the pieces, each a cubic in the part of |v| that lies within it: no piece has to be looked up,

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import casadi as ca
-
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, Excitation, Need
 from sgms_mhe.model.effects.drift import drift_factor, drift_limit, drift_parameters, drift_search, drift_specimen
-from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Values
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
     axis.coulomb_factor = axis.coulomb_factor * drift_factor(axis, p)
 
 

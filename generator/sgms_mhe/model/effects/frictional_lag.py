@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import casadi as ca
-
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, Excitation, Need
 from sgms_mhe.model.effects.lag import FILM_LAG, add_film
-from sgms_mhe.model.effects.search import Trials
+from sgms_mhe.model.effects.search import Trials, Values
 from sgms_mhe.model.effects.specimen import Specimen
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     """The level follows s(v)/f_C with a first-order lag; chi is what it differs by from the level at rest.
 
     Shorter than a quarter sample, the lag is blended out instead, so that zero has no effect.

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 import numpy as np
 from scipy.linalg.blas import dtbsv
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.motion import Extents, MotionRecord
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Extents, MotionRecord, Need, Simpler
 from sgms_mhe.model.effects.search import Array, Columns, Values
 from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
@@ -22,7 +16,7 @@ from sgms_mhe.model.effects.states import EffectState, add_effect_state
 _LEAST_LEVEL = 1e-6
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     # F = force_N chi, dF/dq = stiffness (1 - F sign(v) / force_N)
     rho = p["stiffness_N_m"] / p["force_N"]
     state = add_effect_state(

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final
 
 import casadi as ca
 
-from sgms_mhe.model.axis import AxisState, SymbolicAxis
+from sgms_mhe.model.axis import AxisState, Expressions, SymbolicAxis
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import Extents
 from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.effects.search import Values
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 LAG_DISPLACEMENT: Final = 0.2
@@ -91,9 +91,7 @@ def no_shorter(axis: SymbolicAxis, time_constant: ca.SX) -> ca.SX:
     return ca.sqrt(time_constant * time_constant + shortest_lag(axis) ** 2)
 
 
-def add_film(
-    axis: SymbolicAxis, name: str, p: Mapping[str, ca.SX], nominal: Mapping[str, float]
-) -> tuple[AxisState, ca.SX]:
+def add_film(axis: SymbolicAxis, name: str, p: Expressions, nominal: Values) -> tuple[AxisState, ca.SX]:
     """Declare the state of a film with the parameter `FILM_LAG`; returns it and its lag [s] that steps can follow."""
     lag = no_shorter(axis, p[FILM_LAG.name])
     shortest = math.hypot(nominal[FILM_LAG.name], shortest_lag(axis))

@@ -12,16 +12,14 @@ from typing import Final, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, Fault, Value
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
-from sgms_mhe.model.effects.spline_table import DEGREE, GridPlace, spline_sum, spline_table
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
+from sgms_mhe.model.effects.definition import Fault, Value
+from sgms_mhe.model.effects.search import Values
+from sgms_mhe.model.effects.spline_table import DEGREE, Array, GridPlace, spline_sum, spline_table
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
-Array = NDArray[np.float64]
 Over = Literal["place", "speed", "travel"]
 
 MOST_COORDINATES: Final = 2
@@ -76,7 +74,7 @@ _FORCE: Final = EffectParameter(
 )  # fmt: skip
 
 
-def _grid(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> list[GridPlace]:
+def _grid(axis: SymbolicAxis, p: Expressions, nominal: Values) -> list[GridPlace]:
     """Where the axis is on the grid of each coordinate; declares the states of these."""
     places = []
     if cells := round(nominal["place_cells"]):
@@ -95,7 +93,7 @@ def _grid(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, floa
     return places
 
 
-def _add_late_speed(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> ca.SX:
+def _add_late_speed(axis: SymbolicAxis, p: Expressions, nominal: Values) -> ca.SX:
     """Declare the state of the speed that follows the axis's late, in units of `scale`, and return that speed."""
     state = add_effect_state(
         axis, EffectState("speed", rate_per_second=1.0 / nominal["speed_lag_s"], initial_state=1.0)
@@ -104,7 +102,7 @@ def _add_late_speed(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping
     return state.chi * p["speed_scale_m_s"]
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     """sum_ij force_ij B_i(a) B_j(b), a and b the places on the grids of the coordinates; B a cubic B-spline.
 
     From a table where these numbers are fixed, and spline by spline where an estimator or a fit moves them.

@@ -6,16 +6,13 @@ A mesh in the middle of an axis carries the load, and shares of inertial torque 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import casadi as ca
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.motion import MotionRecord
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, MotionRecord, Simpler
 from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Specimen
 from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
@@ -27,7 +24,7 @@ TRIED: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares that are tried: inertia and friction before the mesh alike."""
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     """Add r |T|, T = load + a_J J a + a_f f, with f all of the friction: what is added here included.
 
     Along the motion T is sign(v) T_0 + a_f (f_0 + r |T|), with f_0 the friction without it, which one division solves.

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
-import casadi as ca
-
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Columns, one_size
 from sgms_mhe.model.effects.specimen import one_number
 
@@ -18,15 +12,11 @@ LIGHTEST: Final = 0.95
 """Of the machine file's mass: what may be missing of it, so that something moves."""
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
-    axis.add_mass(p["mass_kg"], nominal["mass_kg"])
-
-
 DEFINITION = EffectDefinition(
     name="mass_mismatch",
     summary="moved mass differs from the machine file",
     parameters=(EffectParameter("mass_kg", 0.0, 0.05, "true mass minus mass", unit="mass"),),
-    contribute=_contribute,
+    contribute=lambda axis, p, nominal: axis.add_mass(p["mass_kg"], nominal["mass_kg"]),
     loads=True,
     adds_mass="mass_kg",
     excitation=Excitation("accelerations whose inertial force is seen", (Need("inertial_ratio", 0.5),)),

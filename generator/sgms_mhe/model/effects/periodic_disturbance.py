@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation
-from sgms_mhe.model.effects.parameters import EffectParameter, step_of_frequency
-from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Simpler
+from sgms_mhe.model.effects.parameters import step_of_frequency
+from sgms_mhe.model.effects.search import Harmonic, Values, ones
 from sgms_mhe.model.effects.sines import phase
 from sgms_mhe.model.effects.specimen import PHASE, Range, Specimen
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
     axis.add_force(p["amplitude_N"] * ca.sin(2.0 * math.pi * p["frequency_Hz"] * axis.time + p["phase_rad"]))
 
 

@@ -15,11 +15,8 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from sgms_mhe.model.effects.spline_table import TAPS, spline_pieces
-
-Array = NDArray[np.float64]
+from sgms_mhe.model.effects.spline_table import TAPS, Array, spline_pieces
 
 POINTS: Final = 32
 """Points per shortest period: a sine of that period is right to 4e-6 of its amplitude, (2 pi / POINTS)^4 / 384."""

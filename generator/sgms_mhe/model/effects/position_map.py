@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.periodic_table import periodic_spline, spline_coefficients
-from sgms_mhe.model.effects.search import Periodic
+from sgms_mhe.model.effects.search import Periodic, Values
 from sgms_mhe.model.effects.sines import pitch, ripple_search
-from sgms_mhe.model.effects.specimen import Range, Scene, Specimen, Values
+from sgms_mhe.model.effects.specimen import Range, Scene, Specimen
 
 HIGHEST_ORDER: Final = 100
 ROOM: Final = 1.05  # of the travel: a map over the whole stroke repeats where the stroke ends
@@ -39,7 +35,7 @@ _SINE: Final = EffectParameter("sine_N", 0.0, 0.1, "its amplitude", unit="coulom
 _COSINE: Final = EffectParameter("cosine_N", 0.0, 0.1, "amplitude of its cosine", unit="coulomb", array=True)
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     """sum_h sine_h sin(2 pi order_h q / pitch) + cosine_h cos(2 pi order_h q / pitch).
 
     From a table where these numbers are fixed, and sine by sine where an estimator or a fit moves them.

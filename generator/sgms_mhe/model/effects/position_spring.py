@@ -2,23 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.model.effects.specimen import Specimen
-
-
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.add_force(p["stiffness_N_m"] * (axis.position - p["centre_m"]))
-
 
 DEFINITION = EffectDefinition(
     name="position_spring",
@@ -29,7 +17,7 @@ DEFINITION = EffectDefinition(
             "centre_m", 0.0, 0.01, "position without force", role="place", main=False, times="stiffness_N_m"
         ),
     ),
-    contribute=_contribute,
+    contribute=lambda axis, p, _: axis.add_force(p["stiffness_N_m"] * (axis.position - p["centre_m"])),
     loads=True,
     excitation=Excitation(
         "travel over much more than the break-away distance, in both directions",

@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Columns, one_size
 from sgms_mhe.model.effects.specimen import Concealed, one_number
-
-
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.add_force(p["coefficient_N_s2_m2"] * axis.velocity * ca.fabs(axis.velocity))
-
 
 DEFINITION = EffectDefinition(
     name="quadratic_drag",
     summary="drag proportional to speed squared",
     parameters=(EffectParameter("coefficient_N_s2_m2", 0.0, 0.1, "force over v |v|", lower=0.0, unit="coulomb"),),
-    contribute=_contribute,
+    contribute=lambda axis, p, _: axis.add_force(p["coefficient_N_s2_m2"] * axis.velocity * ca.fabs(axis.velocity)),
     over_speed=True,
     excitation=Excitation(
         "three constant speeds or more, up to the fastest", (Need("speed_ratio", 2.5), Need("moving_s", 0.5))

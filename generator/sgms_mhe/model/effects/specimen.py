@@ -7,14 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
-import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from sgms_mhe.model.effects.scales import Scales
+from sgms_mhe.model.effects.search import Array, Values
 
-Array = NDArray[np.float64]
-Values = Mapping[str, float]
 Logged = Callable[[Array, float, Values], Array]
 Concealing = Literal["presliding", "one_way"]
 """Motions that hide a cause: loops below break-away; sliding in one direction only."""

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
-from sgms_mhe.model.effects.search import Step
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
+from sgms_mhe.model.effects.search import Step, Values
 from sgms_mhe.model.effects.specimen import Range, Specimen
 
 # The step as the signal chain passes it on; a sharp one would have no derivative in its time.
 _RISE_S = 1e-3
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
     axis.add_force(p["force_N"] * (0.5 + 0.5 * ca.tanh((axis.time - p["time_s"]) / _RISE_S)))
 
 

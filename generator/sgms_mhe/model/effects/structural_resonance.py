@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
-import casadi as ca
 import numpy as np
 from scipy.signal import lfilter
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.motion import MotionRecord
-from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor, step_of_share
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need
+from sgms_mhe.model.effects.parameters import step_by_factor, step_of_share
 from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     """The hanging mass in coordinates relative to the rest, e = q - x: e'' = a - omega^2 e - 2 zeta omega e'.
 
     chi = (omega^2 e, omega e') mass / f_C. The rest is lighter by m2 and pulled by m2 (omega^2 e + 2 zeta omega e').

@@ -3,24 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.model.effects.sines import phase
 from sgms_mhe.model.effects.specimen import PHASE, Specimen
-
-
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.add_force(p["amplitude_N"] * ca.sin(axis.position + p["phase_rad"]))
-
 
 DEFINITION = EffectDefinition(
     name="unbalance",
@@ -30,7 +20,7 @@ DEFINITION = EffectDefinition(
         EffectParameter("amplitude_N", 0.0, 0.1, "weight times its distance from the axis", unit="coulomb"),
         phase("angle"),
     ),
-    contribute=_contribute,
+    contribute=lambda axis, p, _: axis.add_force(p["amplitude_N"] * ca.sin(axis.position + p["phase_rad"])),
     loads=True,
     excitation=Excitation(
         "turning through a quarter of a turn or more, forth and back",

@@ -5,19 +5,13 @@ Where an axis stops, its force goes on to that of rest for a fraction of a secon
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import casadi as ca
-
-from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.axis import Expressions, SymbolicAxis
+from sgms_mhe.model.effects import EffectDefinition, Excitation, Need, Simpler
 from sgms_mhe.model.effects.lag import FILM_LAG, add_film
-from sgms_mhe.model.effects.search import Trials
+from sgms_mhe.model.effects.search import Trials, Values
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     """The force u of the film, in f_C, follows that of the speed: du/dt = ((sigma_v v + c(v)) / f_C - u) / lag.
 
     Shorter than a quarter sample, the lag is blended out instead, so that zero has no effect.
