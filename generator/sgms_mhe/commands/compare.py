@@ -8,28 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sgms_mhe.commands.common import (
-    example,
-    json_option,
-    json_text,
-    log_argument,
-    machine_argument,
-    progress_bar,
-    recorded_log,
-    show,
-    table_text,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import load_for_log, log_options
 
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.comparison import Comparison
 
 
-@click.command(short_help="Generated C against the reference solver.", epilog=example("compare etel_xy axis.csv"))
-@machine_argument
-@log_argument
+@click.command(
+    short_help="Generated C against the reference solver.", epilog=common.example("compare etel_xy axis.csv")
+)
+@common.machine_argument
+@common.log_argument
 @log_options
-@json_option
+@common.json_option
 def command(machine: str, log: Path, table: dict[str, Any], as_json: bool) -> None:
     """Run the generated C and the reference solver on the same signals and compare them, update by update.
 
@@ -47,11 +39,11 @@ def command(machine: str, log: Path, table: dict[str, Any], as_json: bool) -> No
     from sgms_mhe.evaluation.comparison import compare_signals
     from sgms_mhe.signals.chain import signals_from_log
 
-    recorded = recorded_log(log, resolved)
+    recorded = common.recorded_log(log, resolved)
     check_length(recorded, resolved)
-    with progress_bar(f"compare {resolved.name}") as progress:
+    with common.progress_bar(f"compare {resolved.name}") as progress:
         comparison = compare_signals(resolved, signals_from_log(recorded, resolved), progress=progress)
-    show(json_text(_content(comparison)) if as_json else _text(comparison))
+    common.show(common.json_text(_content(comparison)) if as_json else _text(comparison))
     if not comparison.agrees:
         click.get_current_context().exit(1)
 
@@ -81,7 +73,7 @@ def _text(comparison: Comparison) -> str:
         [
             f"{comparison.machine}, {comparison.precision} precision: generated C against reference, "
             f"{comparison.updates} updates",
-            table_text(("largest difference", "absolute", "relative", "allowed", "updates", ""), rows),
+            common.table_text(("largest difference", "absolute", "relative", "allowed", "updates", ""), rows),
             f"status differs at {comparison.status_mismatches} updates, and at {comparison.status_undecided} where a "
             "number lies on its limit",
             "a bound is active at {} updates (C) and {} (reference)".format(*comparison.bounds_active),

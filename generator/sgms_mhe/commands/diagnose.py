@@ -10,25 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sgms_mhe.commands.common import (
-    LONGEST_RECORD,
-    NumberType,
-    check_output_folder,
-    example,
-    json_option,
-    json_text,
-    machine_argument,
-    note,
-    note_broken_effects,
-    out_option,
-    part_options,
-    recorded_log,
-    show,
-    standalone_option,
-    step_notes,
-    steps_bar,
-    trace_option,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.decisions import trace_decisions
 from sgms_mhe.support.errors import ImplausibleError, InputError
@@ -43,29 +25,29 @@ if TYPE_CHECKING:
 
 @click.command(
     short_help="Find errors of the simulation along LOG, and causes.",
-    epilog=example("diagnose etel_xy log.csv --out diagnosis", "diagnose etel_xy first.csv second.csv"),
+    epilog=common.example("diagnose etel_xy log.csv --out diagnosis", "diagnose etel_xy first.csv second.csv"),
 )
-@machine_argument
+@common.machine_argument
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @log_options
-@out_option("Folder of the results; default: MACHINE's name and _diagnosis.", metavar="DIR", required=False)
+@common.out_option("Folder of the results; default: MACHINE's name and _diagnosis.", metavar="DIR", required=False)
 @click.option(
     "--unseen",
     type=click.Path(path_type=Path),
     metavar="LOG",
     help="Another log, on which the estimators of the machine and of the extended machine are compared.",
 )
-@part_options("Use the first log from here on [s since its start] as a log of its own, whose time starts here.")
+@common.part_options("Use the first log from here on [s since its start] as a log of its own, whose time starts here.")
 @click.option(
     "--held-out",
-    type=(NumberType(0.0, LONGEST_RECORD), NumberType(0.0, LONGEST_RECORD)),
+    type=(common.NumberType(0.0, common.LONGEST_RECORD), common.NumberType(0.0, common.LONGEST_RECORD)),
     multiple=True,
     metavar="FROM TO",
     help="Seconds since the start that the fit behind the gain does not see; default: a third of the record.",
 )
-@standalone_option
-@trace_option
-@json_option
+@common.standalone_option
+@common.trace_option
+@common.json_option
 def command(
     machine: str,
     logs: tuple[Path, ...],
@@ -91,31 +73,31 @@ def command(
     Exit code 1: unexplained; so is a log whose force or position has another sign, scale or unit, which is said.
     """
     resolved = load_for_log(machine, table)
-    note_broken_effects()
+    common.note_broken_effects()
     folder = out or Path(f"{resolved.name}_diagnosis")
-    check_output_folder(folder)
+    common.check_output_folder(folder)
 
     from sgms_mhe.api.inputs import read_log
     from sgms_mhe.diagnosis import diagnose, write_diagnosis
     from sgms_mhe.logfiles.plausibility import check_plausible
     from sgms_mhe.report import attempt_report, closed_loop_gain
 
-    recorded = read_log(logs[0], resolved, start_s=start_s, end_s=end_s, note=note)
+    recorded = read_log(logs[0], resolved, start_s=start_s, end_s=end_s, note=common.note)
     try:
         check_plausible(recorded, resolved)
     except ImplausibleError as error:
         _say_implausible(error, resolved, recorded, folder, as_json)
         return
-    others = [recorded_log(log, resolved) for log in logs[1:]]
-    another = recorded_log(unseen, resolved) if unseen else None
-    with trace_decisions(trace), steps_bar() as progress:
+    others = [common.recorded_log(log, resolved) for log in logs[1:]]
+    another = common.recorded_log(unseen, resolved) if unseen else None
+    with trace_decisions(trace), common.steps_bar() as progress:
         found = diagnose(resolved, recorded, others=others, progress=progress, held_out_s=held_out or None)
     found = replace(found, standalone=standalone)
     write_diagnosis(found, folder)
     gain, refused = None, None
     if another is not None and found.extended is not None:
         try:
-            with step_notes() as progress:
+            with common.step_notes() as progress:
                 progress("estimators of the machine and of the extended machine on the unseen log")
                 gain = closed_loop_gain(resolved, found.extended, another)
         except InputError as error:  # said after the verdict, which does not hang on this log
@@ -123,9 +105,9 @@ def command(
     report = attempt_report(found, folder, partial(click.echo, err=True), estimator=gain)
     units = resolved.plant.units
     if as_json:
-        show(json_text(found.to_json() | ({} if gain is None else {"unseen": units.keyed(_gain(gain))})))
+        common.show(common.json_text(found.to_json() | ({} if gain is None else {"unseen": units.keyed(_gain(gain))})))
     else:
-        show(_text(found, folder, report, gain))
+        common.show(_text(found, folder, report, gain))
     if refused is not None:
         raise refused
     if found.verdict == "unexplained":
@@ -139,7 +121,7 @@ def _say_implausible(error: ImplausibleError, machine: Machine, log: Log, folder
 
     content = write_refusal(str(error), machine, folder)
     report = write_refusal_report(str(error), machine, log, folder)
-    show(json_text(content) if as_json else f"unexplained: {error}\nreport: {report}")
+    common.show(common.json_text(content) if as_json else f"unexplained: {error}\nreport: {report}")
     click.get_current_context().exit(1)
 
 

@@ -8,22 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
-from sgms_mhe.commands.common import (
-    check_output_file,
-    check_output_folder,
-    example,
-    json_option,
-    json_text,
-    log_argument,
-    machine_argument,
-    make_folder,
-    note,
-    out_option,
-    parameters_text,
-    progress_bar,
-    show,
-    updates_text,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.libraries import optional_library
 
@@ -39,15 +24,15 @@ SOLVERS: Final = ("c", "reference", "ekf", "smoother")
 
 @click.command(
     short_help="Estimate friction and parameters from a log.",
-    epilog=example(
+    epilog=common.example(
         "estimate etel_xy axis.csv --out estimates.csv",
         "estimate machines/emps.toml DATA_EMPS.mat --out estimates.csv --plot figures",
     ),
 )
-@machine_argument
-@log_argument
+@common.machine_argument
+@common.log_argument
 @log_options
-@out_option("CSV to write: one row per update.")
+@common.out_option("CSV to write: one row per update.")
 @click.option(
     "--solver",
     type=click.Choice(SOLVERS),
@@ -59,7 +44,7 @@ SOLVERS: Final = ("c", "reference", "ekf", "smoother")
 @click.option(
     "--plot", type=click.Path(path_type=Path), metavar="DIR", help="Also draw friction.png and parameters.png."
 )
-@json_option
+@common.json_option
 def command(
     machine: str, log: Path, table: dict[str, Any], out: Path, solver: Solver, plot: Path | None, as_json: bool
 ) -> None:
@@ -69,23 +54,25 @@ def command(
     acceleration_m_s2 or friction_N goes through the Python one, which uses those columns.
     """
     resolved = load_for_log(machine, table)
-    check_output_file(out)
+    common.check_output_file(out)
     if plot is not None:
-        check_output_folder(plot)
+        common.check_output_folder(plot)
         optional_library("matplotlib", "plot", "a figure", "--plot")
 
     from sgms_mhe.api import estimation
     from sgms_mhe.signals.estimates import write_estimates
 
-    with progress_bar(f"estimate {resolved.name}") as progress:
-        estimates = estimation.estimate(resolved, log, solver=solver, progress=progress, note=note)
+    with common.progress_bar(f"estimate {resolved.name}") as progress:
+        estimates = estimation.estimate(resolved, log, solver=solver, progress=progress, note=common.note)
     write_estimates(out, estimates)
     if plot is not None:
         _draw(resolved, estimates, plot)
     note_wrong_noise(resolved, estimates)
     note_wrong_priors(resolved, estimates)
     summary = summarise(resolved, estimates, solver)
-    show(json_text(resolved.plant.units.keyed(summary)) if as_json else summary_text(resolved, summary), out)
+    common.show(
+        common.json_text(resolved.plant.units.keyed(summary)) if as_json else summary_text(resolved, summary), out
+    )
 
 
 def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
@@ -97,7 +84,7 @@ def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
     if least <= share <= most or math.isnan(share):
         return
     stated = machine.estimator.noise.measurement
-    note(
+    common.note(
         f"the file states noise of {stated:g} {unit} (estimator.noise.measurement); the readings speak for "
         f"{share * stated:.2g} {unit}: sgms-mhe tune finds weights that suit a log"
     )
@@ -115,7 +102,7 @@ def note_wrong_priors(machine: Machine, estimates: Estimates) -> None:
         stated = prior * abs(parameter.scale)
         off = abs(value - parameter.nominal) / stated
         if off > PRIOR_FITS:
-            note(
+            common.note(
                 f"{units.named(parameter.column)} ends at {interval(value, std)}, {off:.1f} deviations of its prior "
                 f"({stated:.3g}) from the file's {parameter.nominal:.4g}: the file is off, or the prior too narrow "
                 f"(estimator.prior, estimator.noise.parameter)"
@@ -156,8 +143,8 @@ def summary_text(machine: Machine, summary: dict[str, Any]) -> str:
     counts = ", ".join(f"{count} {name}" for name, count in summary["status"].items() if count)
     return "\n".join(
         [
-            f"{summary['machine']}, solver {summary['solver']}: {updates_text(units, summary)}",
-            parameters_text(units, summary["parameters"]),
+            f"{summary['machine']}, solver {summary['solver']}: {common.updates_text(units, summary)}",
+            common.parameters_text(units, summary["parameters"]),
             f"updates: {counts}",
         ]
     )
@@ -167,11 +154,11 @@ def _draw(machine: Machine, estimates: Estimates, folder: Path) -> None:
     from sgms_mhe.evaluation.plots import friction_figure, parameter_figure, save_figure
     from sgms_mhe.model import build_model
 
-    make_folder(folder)
+    common.make_folder(folder)
     figures = {
         "friction.png": friction_figure(estimates, machine.name),
         "parameters.png": parameter_figure(estimates, build_model(machine).parameters, machine.name),
     }
     for name, figure in figures.items():
         save_figure(folder / name, figure)
-        note(f"drawn: {folder / name}")
+        common.note(f"drawn: {folder / name}")

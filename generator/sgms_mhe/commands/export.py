@@ -6,26 +6,16 @@ from pathlib import Path
 
 import click
 
-from sgms_mhe.commands.common import (
-    check_output_file,
-    example,
-    json_option,
-    json_text,
-    machine_argument,
-    note,
-    out_option,
-    progress_bar,
-    show,
-)
+from sgms_mhe.commands import common
 
 
 @click.command(
     short_help="Write MACHINE's axis for another simulator.",
-    epilog=example(
+    epilog=common.example(
         "export etel_xy --to mujoco --out axis.xml --log measured.csv", "export etel_xy --to fmu3 --out axis.fmu"
     ),
 )
-@machine_argument
+@common.machine_argument
 @click.option(
     "--to",
     "form",
@@ -33,14 +23,14 @@ from sgms_mhe.commands.common import (
     metavar="FORM",
     help="One of mujoco, urdf, modelica, simscape, csv, matlab, fmu2, fmu3.",
 )
-@out_option("The file; its name without suffix is that of the model in it.")
+@common.out_option("The file; its name without suffix is that of the model in it.")
 @click.option(
     "--log",
     type=click.Path(path_type=Path),
     metavar="LOG",
     help="Log along which the error of a simpler form is measured.",
 )
-@json_option
+@common.json_option
 def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool) -> None:
     """Write MACHINE's axis, the plant that moves, for another simulator.
 
@@ -51,11 +41,11 @@ def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool)
     from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
-    check_output_file(out, exporting.find_form(form).suffixes)
-    with progress_bar(f"export {resolved.name}"):
-        exported = exporting.export(resolved, form, out, log=log, note=note)
+    common.check_output_file(out, exporting.find_form(form).suffixes)
+    with common.progress_bar(f"export {resolved.name}"):
+        exported = exporting.export(resolved, form, out, log=log, note=common.note)
     if exported.missing is not None:
-        note(f"{out}: sources without a binary: {exported.missing}")
+        common.note(f"{out}: sources without a binary: {exported.missing}")
     units, error = resolved.plant.units, exported.error
     if as_json:
         measured = None
@@ -69,7 +59,7 @@ def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool)
             "lost": exported.lost,
             "error": measured,
         }
-        show(json_text(units.keyed(result)), out)
+        common.show(common.json_text(units.keyed(result)), out)
         return
     lines = [f"{out}: {form} of {resolved.name}", *(f"holds: {sentence}" for sentence in exported.holds)]
     lines += [f"lost: {sentence}" for sentence in exported.lost]
@@ -80,4 +70,4 @@ def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool)
         )
     elif log is not None:
         lines.append("error: none, the form holds all that moves the axis")
-    show("\n".join(lines), out)
+    common.show("\n".join(lines), out)

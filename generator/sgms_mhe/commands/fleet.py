@@ -7,18 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from sgms_mhe.commands.common import (
-    NumberType,
-    check_output_folder,
-    example,
-    json_option,
-    json_text,
-    note,
-    note_broken_effects,
-    out_option,
-    show,
-    steps_bar,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import log_options
 from sgms_mhe.support.numbers import interval
 from sgms_mhe.support.parallel import workers
@@ -31,23 +20,25 @@ LONGEST_S = 1e6
 
 @click.command(
     short_help="Diagnose, estimate or identify many logs.",
-    epilog=example("fleet diagnose table.csv --out fleet", "fleet estimate table.csv --scheduler tcp://head:8786"),
+    epilog=common.example(
+        "fleet diagnose table.csv --out fleet", "fleet estimate table.csv --scheduler tcp://head:8786"
+    ),
 )
 @click.argument("verb", type=click.Choice(("diagnose", "estimate", "identify")))
 @click.argument("rows", metavar="TABLE", type=click.Path(path_type=Path))
 @log_options
-@out_option("Folder of the results; default: TABLE's name and the verb.", metavar="DIR", required=False)
+@common.out_option("Folder of the results; default: TABLE's name and the verb.", metavar="DIR", required=False)
 @click.option("--jobs", type=click.IntRange(1, 256), metavar="J", help="Processes at a time; default: one per core.")
 @click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster that does the work in place of this host.")
 @click.option(
     "--time-limit",
-    type=NumberType(1.0, LONGEST_S),
+    type=common.NumberType(1.0, LONGEST_S),
     metavar="S",
     default=1800.0,
     show_default=True,
     help="Of one log; it has failed then.",
 )
-@json_option
+@common.json_option
 def command(
     verb: Literal["diagnose", "estimate", "identify"],
     rows: Path,
@@ -67,21 +58,21 @@ def command(
     Exit code 1: some rows failed, the rest is done.
     """
     folder = out or Path(f"{rows.stem}_{verb}")
-    check_output_folder(folder)
-    note_broken_effects()
+    common.check_output_folder(folder)
+    common.note_broken_effects()
 
     from sgms_mhe.api.fleet import run_fleet
     from sgms_mhe.api.fleet.writing import results_json, write_fleet
     from sgms_mhe.support.processes import WorkerSlot
 
     place = WorkerSlot(jobs or workers(), scheduler, time_limit)
-    with steps_bar(note) as progress:  # the result of each row is no progress
+    with common.steps_bar(common.note) as progress:  # the result of each row is no progress
         fleet = run_fleet(verb, rows, folder, place, progress, table)
     page = write_fleet(fleet, folder)
     if as_json:
-        show(json_text(results_json(fleet, folder)))
+        common.show(common.json_text(results_json(fleet, folder)))
     else:
-        show(_text(fleet, page))
+        common.show(_text(fleet, page))
     if fleet.failures:
         click.get_current_context().exit(1)
 

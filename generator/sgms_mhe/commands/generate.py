@@ -6,29 +6,20 @@ from pathlib import Path
 
 import click
 
-from sgms_mhe.commands.common import (
-    check_output_folder,
-    example,
-    json_option,
-    json_text,
-    machine_argument,
-    note,
-    out_option,
-    progress_bar,
-    show,
-    table_text,
-)
+from sgms_mhe.commands import common
 
 
 @click.command(
     short_help="Emit MACHINE's estimator as C99.",
-    epilog=example("generate etel_xy", "generate machines/etel_xy.toml --out firmware/etel_xy"),
+    epilog=common.example("generate etel_xy", "generate machines/etel_xy.toml --out firmware/etel_xy"),
 )
-@machine_argument
-@out_option("The package's folder; default generated/NAME below the working directory.", metavar="DIR", required=False)
+@common.machine_argument
+@common.out_option(
+    "The package's folder; default generated/NAME below the working directory.", metavar="DIR", required=False
+)
 @click.option("--amalgamate", is_flag=True, help="All C in one source and one header.")
 @click.option("--bindings", metavar="LIST", help="Also for, with commas: python, cpp, fmu2, fmu3.")
-@json_option
+@common.json_option
 def command(machine: str, out: Path | None, amalgamate: bool, bindings: str | None, as_json: bool) -> None:
     """Emit MACHINE's estimator as a folder of C99 that needs no library.
 
@@ -38,19 +29,23 @@ def command(machine: str, out: Path | None, amalgamate: bool, bindings: str | No
 
     resolved = load_machine(machine)
     folder = out or Path("generated") / resolved.name
-    check_output_folder(folder)
+    common.check_output_folder(folder)
     names = [name.strip() for name in bindings.split(",")] if bindings is not None else []
 
     from sgms_mhe.api import packages
 
-    with progress_bar(f"generate {resolved.name}"):
+    with common.progress_bar(f"generate {resolved.name}"):
         package = packages.generate(resolved, folder, amalgamate=amalgamate, bindings=names)
     for sentence in package.missing:
-        note(sentence)
+        common.note(sentence)
     sizes = {name: len(text.encode()) for name, text in package.files.items()}
     sizes |= {name: len(archive) for name, archive in package.archives.items()}
     if as_json:
-        show(json_text({"machine": resolved.name, "digest": resolved.digest, "folder": str(folder), "files": sizes}))
+        common.show(
+            common.json_text(
+                {"machine": resolved.name, "digest": resolved.digest, "folder": str(folder), "files": sizes}
+            )
+        )
         return
     rows = [(str(folder / name), f"{size} bytes") for name, size in sizes.items()]
-    show(table_text(("file", "size"), [*rows, ("total", f"{sum(sizes.values())} bytes")]))
+    common.show(common.table_text(("file", "size"), [*rows, ("total", f"{sum(sizes.values())} bytes")]))

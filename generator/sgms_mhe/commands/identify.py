@@ -8,19 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from sgms_mhe.commands.common import (
-    NumberType,
-    check_output_file,
-    example,
-    json_option,
-    json_text,
-    note,
-    out_option,
-    show,
-    step_notes,
-    table_text,
-    trace_option,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.decisions import trace_decisions
 
@@ -43,20 +31,23 @@ def _elements(ctx: click.Context, param: click.Parameter, text: str) -> int | No
 
 @click.command(
     short_help="A machine file from measurements alone.",
-    epilog=example(
+    epilog=common.example(
         "identify log.csv --out my_axis.toml --mass 20",
         "identify first.csv second.csv --out my_axis.toml --like etel_xy",
     ),
 )
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @log_options
-@out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
+@common.out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
 @click.option(
-    "--mass", type=NumberType(1e-9, HEAVIEST), metavar="KG", help="Moved mass; default: the one that the motion shows."
+    "--mass",
+    type=common.NumberType(1e-9, HEAVIEST),
+    metavar="KG",
+    help="Moved mass; default: the one that the motion shows.",
 )
 @click.option(
     "--inertia",
-    type=NumberType(1e-12, HEAVIEST),
+    type=common.NumberType(1e-12, HEAVIEST),
     metavar="KG_M2",
     help="The same of an axis that turns; its logs say it does.",
 )
@@ -64,8 +55,8 @@ def _elements(ctx: click.Context, param: click.Parameter, text: str) -> int | No
     "--elements", callback=_elements, metavar="N|auto", default="auto", show_default=True, help="Friction elements."
 )
 @click.option("--like", metavar="MACHINE", help="Take sampling, estimator, code and [log] from this machine.")
-@trace_option
-@json_option
+@common.trace_option
+@common.json_option
 def command(
     logs: tuple[Path, ...],
     table: dict[str, Any],
@@ -82,7 +73,7 @@ def command(
     No starting values are asked for. Prints what the logs determine, with intervals of two standard deviations, and
     what they do not, with the move that would.
     """
-    check_output_file(out, (".toml",))
+    common.check_output_file(out, (".toml",))
 
     from sgms_mhe.api.identification import identify
     from sgms_mhe.api.inputs import read_log
@@ -91,18 +82,25 @@ def command(
     from sgms_mhe.support.files import write_text
 
     model = load_for_log(like, table) if like is not None else None
-    read = [read_log(path, model, table=table, note=note) for path in logs]
-    with trace_decisions(trace), step_notes() as progress:
+    read = [read_log(path, model, table=table, note=common.note) for path in logs]
+    with trace_decisions(trace), common.step_notes() as progress:
         found = identify(
-            read, out.stem, mass=mass, inertia=inertia, elements=elements, like=model, note=note, progress=progress
+            read,
+            out.stem,
+            mass=mass,
+            inertia=inertia,
+            elements=elements,
+            like=model,
+            note=common.note,
+            progress=progress,
         )
     write_text(out, found.toml if model is not None else found.toml + toml_log(table, read[0].kind))
     residuals = [measure_residual(found.machine, log) for log in read]
     if as_json:
         stated = found.machine.plant.units.keyed({"residual_of_file": [residual.to_json() for residual in residuals]})
-        show(json_text(found.to_json() | stated | {"file": str(out)}), out)
+        common.show(common.json_text(found.to_json() | stated | {"file": str(out)}), out)
     else:
-        show(_text(found, residuals, [log.name for log in logs], out), out)
+        common.show(_text(found, residuals, [log.name for log in logs], out), out)
 
 
 def _text(found: Identification, residuals: Sequence[MachineResidual], names: Sequence[str], out: Path) -> str:
@@ -111,7 +109,7 @@ def _text(found: Identification, residuals: Sequence[MachineResidual], names: Se
         [units.named(n.name), n.interval, n.note or ("" if n.determined else "not determined")] for n in found.numbers
     ]
     lines = [
-        table_text(["number", "value +- 2 sigma", ""], rows),
+        common.table_text(["number", "value +- 2 sigma", ""], rows),
         f"law: {found.law}{'' if found.law_decided else ' (default)'}",
         f"held-out residual: {found.held_out_rms_N:.3g} {units.force} of {found.friction_rms_N:.3g} {units.force} rms; "
         f"noise floor {found.noise_floor_N:.3g} {units.force}",

@@ -8,14 +8,7 @@ from typing import Any
 
 import click
 
-from sgms_mhe.commands.common import (
-    example,
-    json_option,
-    json_text,
-    log_argument,
-    show,
-    table_text,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import load_for_log, log_options
 
 SHOWN = 12
@@ -24,12 +17,12 @@ SHOWN = 12
 
 @click.command(
     short_help="Show how LOG is read.",
-    epilog=example("inspect axis.csv", "inspect DATA_EMPS.mat --machine emps"),
+    epilog=common.example("inspect axis.csv", "inspect DATA_EMPS.mat --machine emps"),
 )
-@log_argument
+@common.log_argument
 @log_options
 @click.option("--machine", metavar="MACHINE", help="Machine file whose [log] and whose axis LOG is read for.")
-@json_option
+@common.json_option
 @click.pass_context
 def command(ctx: click.Context, log: Path, table: dict[str, Any], machine: str | None, as_json: bool) -> None:
     """Show how LOG is read: dialect, columns, units, rate, jitter, missing samples, range.
@@ -44,7 +37,7 @@ def command(ctx: click.Context, log: Path, table: dict[str, Any], machine: str |
     mapping = log_mapping(table, "[log]") if resolved is None and table else None
     found = inspect_log(log, resolved, mapping)
     content = found.as_dict()
-    show(json_text(content) if as_json else _text(content))
+    common.show(common.json_text(content) if as_json else _text(content))
     if found.problems:
         ctx.exit(1)
 
@@ -90,7 +83,7 @@ def _range_cells(column: dict[str, Any]) -> tuple[str, str, str]:
 
 
 def _indent(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [f"    {line}" for line in table_text(header, rows).splitlines()]
+    return [f"    {line}" for line in common.table_text(header, rows).splitlines()]
 
 
 _RANGE = ("least", "most", "missing")

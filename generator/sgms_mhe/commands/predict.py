@@ -8,20 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sgms_mhe.commands.common import (
-    NumberType,
-    check_output_file,
-    example,
-    json_option,
-    json_text,
-    log_argument,
-    machine_argument,
-    out_option,
-    part_options,
-    progress_bar,
-    recorded_log,
-    show,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.errors import InputError
 
@@ -31,17 +18,19 @@ if TYPE_CHECKING:
 
 @click.command(
     short_help="Run the model alone along a log.",
-    epilog=example(
+    epilog=common.example(
         "predict etel_xy axis.csv --out predicted.csv",
         "predict emps DATA_EMPS.mat --out predicted.csv --from 12.5 --lowpass 100 --decimate 10",
     ),
 )
-@machine_argument
-@log_argument
+@common.machine_argument
+@common.log_argument
 @log_options
-@out_option("CSV to write: time_s, friction_measured_N, friction_N (of a rotary axis _Nm) at every sample.")
-@part_options("Compare from here on [s since the log's start]; the model runs through the whole log.")
-@click.option("--lowpass", type=NumberType(1e-3, 1e7), metavar="HZ", help="In place of the machine's velocity_cutoff.")
+@common.out_option("CSV to write: time_s, friction_measured_N, friction_N (of a rotary axis _Nm) at every sample.")
+@common.part_options("Compare from here on [s since the log's start]; the model runs through the whole log.")
+@click.option(
+    "--lowpass", type=common.NumberType(1e-3, 1e7), metavar="HZ", help="In place of the machine's velocity_cutoff."
+)
 @click.option(
     "--decimate",
     "factor",
@@ -54,11 +43,11 @@ if TYPE_CHECKING:
 @click.option("--find-origin", is_flag=True, help="Find the position that forces over place count from, first.")
 @click.option(
     "--within",
-    type=NumberType(1e-9, 1e6),
+    type=common.NumberType(1e-9, 1e6),
     metavar="M",
     help="How far from 0 the origin may be [m, rad]; needed where forces over place do not repeat.",
 )
-@json_option
+@common.json_option
 def command(
     machine: str,
     log: Path,
@@ -85,17 +74,17 @@ def command(
     if within is not None and not find_origin:
         raise InputError("command line", "--within", within, "beside --find-origin")
     resolved = load_for_log(machine, table)
-    check_output_file(out)
+    common.check_output_file(out)
 
     from sgms_mhe.configuration import override_machine
     from sgms_mhe.diagnosis import origin
     from sgms_mhe.diagnosis.record_residual import measure_residual
     from sgms_mhe.evaluation.prediction import force_error, predict_log, write_prediction
 
-    recorded = recorded_log(log, resolved)
+    recorded = common.recorded_log(log, resolved)
     if lowpass is not None:
         resolved = override_machine(resolved, {"sampling": {"velocity_cutoff": lowpass}})
-    with progress_bar(f"predict {resolved.name}"):
+    with common.progress_bar(f"predict {resolved.name}"):
         found = origin.find_origin(resolved, recorded, within) if find_origin else None
         if found is not None and found.position_m is not None:
             recorded = replace(recorded, position_m=recorded.position_m - found.position_m)
@@ -119,13 +108,13 @@ def command(
             "residual": None if measured is None else measured.to_json(),
             "origin": None if found is None else found.to_json(),
         }
-        show(json_text(units.keyed(result)), out)
+        common.show(common.json_text(units.keyed(result)), out)
         _end(found)
         return
     total = len(prediction.time_s)
     residual = "" if measured is None else f"\n{measured.describe(units)}, as diagnose has them"
     place = "" if found is None else f"{found.describe(units)}\n"
-    show(
+    common.show(
         f"{place}"
         f"measured minus simulated: {error.residual_rms_N:.6g} {units.force} rms over {error.rows} of {total} samples "
         f"(measured friction: {error.friction_rms_N:.6g} {units.force} rms)\n"

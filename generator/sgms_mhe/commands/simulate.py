@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import click
 
-from sgms_mhe.commands.common import (
-    NumberType,
-    check_output_file,
-    example,
-    machine_argument,
-    out_option,
-    progress_bar,
-    show,
-)
+from sgms_mhe.commands import common
 
 if TYPE_CHECKING:
     from sgms_mhe.signals.logs import Log
@@ -45,14 +37,14 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
 
 @click.command(
     short_help="Log a simulated axis in closed loop.",
-    epilog=example(
+    epilog=common.example(
         "simulate etel_xy --out axis.csv",
         "simulate etel_xy --out axis.npz --trajectory mixed --duration 60 --scale stiffness_1=1.2",
         "simulate etel_xy --out next.csv --trajectory plan.csv",
     ),
 )
-@machine_argument
-@out_option("The log to write: .csv or .npz.")
+@common.machine_argument
+@common.out_option("The log to write: .csv or .npz.")
 @click.option(
     "--trajectory",
     metavar="NAME|FILE",
@@ -62,7 +54,7 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
 )
 @click.option(
     "--duration",
-    type=NumberType(1e-3, 86400.0),
+    type=common.NumberType(1e-3, 86400.0),
     metavar="S",
     help="Repeat or cut the motion to this long; default once.",
 )
@@ -73,11 +65,16 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
     help="Friction law of the plant; maxwell_slip switches instead of smoothing; default: the machine file's.",
 )
 @click.option(
-    "--force-noise", type=NumberType(0.0, 1e6), metavar="N", default=0.1, show_default=True, help="1 sigma [N, N m]."
+    "--force-noise",
+    type=common.NumberType(0.0, 1e6),
+    metavar="N",
+    default=0.1,
+    show_default=True,
+    help="1 sigma [N, N m].",
 )
 @click.option(
     "--encoder-resolution",
-    type=NumberType(0.0, 1.0),
+    type=common.NumberType(0.0, 1.0),
     metavar="M",
     default=1e-9,
     show_default=True,
@@ -110,12 +107,12 @@ def command(
     from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
-    check_output_file(out, (".csv", ".npz"))
+    common.check_output_file(out, (".csv", ".npz"))
 
     from sgms_mhe.api import simulation
     from sgms_mhe.signals.logs import write_log
 
-    with progress_bar(f"simulate {resolved.name}"):
+    with common.progress_bar(f"simulate {resolved.name}"):
         run = simulation.simulate(
             resolved,
             trajectory,
@@ -127,7 +124,7 @@ def command(
             seed=seed,
         )
     write_log(out, run.log)
-    show(f"{out}: {describe(run.log)}", out)
+    common.show(f"{out}: {describe(run.log)}", out)
 
 
 def describe(log: Log) -> str:

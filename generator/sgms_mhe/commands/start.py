@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from sgms_mhe.commands.common import (
-    NumberType,
-    check_output_file,
-    example,
-    json_text,
-    note,
-    out_option,
-    show,
-    step_notes,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import log_options
 from sgms_mhe.support.errors import InputError
 
@@ -30,12 +21,12 @@ LARGEST: Final = 1e9
 SCHEMA: Final = "machine.schema.json"
 """File beside the machine file by which editors complete and check it."""
 
-_positive = NumberType(1e-12, LARGEST)
+_positive = common.NumberType(1e-12, LARGEST)
 
 
 @click.command(
     short_help="A commented machine file to begin with.",
-    epilog=example(
+    epilog=common.example(
         "start --out my_axis.toml --mass 12 --rate 8000",
         "start log.csv --out my_axis.toml --mass 12",
         "start --out my_table.toml --inertia 0.02 --rate 4000 --coulomb 0.4",
@@ -43,7 +34,7 @@ _positive = NumberType(1e-12, LARGEST)
 )
 @click.argument("logs", metavar="[LOG]...", nargs=-1, type=click.Path(path_type=Path))
 @log_options
-@out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
+@common.out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
 @click.option("--mass", type=_positive, metavar="KG", help="Moved mass.")
 @click.option("--inertia", type=_positive, metavar="KG_M2", help="The same of an axis that turns.")
 @click.option("--coulomb", type=_positive, metavar="N", help="Level of sliding friction, if known.")
@@ -69,7 +60,7 @@ def command(
     usual values and are marked as assumed. Of an axis that turns all is in rad and N m. Its first line names the
     schema by which editors check it, machine.schema.json, written beside it where there is none.
     """
-    check_output_file(out, (".toml",))
+    common.check_output_file(out, (".toml",))
 
     from sgms_mhe.api.starting import AxisNumbers, start_text
 
@@ -92,7 +83,7 @@ def command(
             rate = _ask("--rate", "Samples per second [Hz]")
         known = AxisNumbers(out.stem, kind, moved, rate, coulomb, viscous, break_away, max_velocity)
         _write(out, start_text(known, out)[0])
-    show(f"machine file: {out}\nnext: sgms-mhe check {out}", out)
+    common.show(f"machine file: {out}\nnext: sgms-mhe check {out}", out)
 
 
 def _write(out: Path, text: str) -> None:
@@ -102,7 +93,7 @@ def _write(out: Path, text: str) -> None:
 
     schema = out.resolve().with_name(SCHEMA)
     if not schema.exists():
-        write_text(schema, f"{json_text(machine_schema())}\n")
+        write_text(schema, f"{common.json_text(machine_schema())}\n")
     write_text(out, f"#:schema ./{SCHEMA}\n{text}")
 
 
@@ -125,7 +116,7 @@ def _from_logs(
     from sgms_mhe.api.inputs import read_log
     from sgms_mhe.machine.writing import toml_log
 
-    read = [read_log(path, table=table, note=note) for path in logs]
-    with step_notes() as progress:
-        found = identify(read, name, mass=mass, inertia=inertia, note=note, progress=progress)
+    read = [read_log(path, table=table, note=common.note) for path in logs]
+    with common.step_notes() as progress:
+        found = identify(read, name, mass=mass, inertia=inertia, note=common.note, progress=progress)
     return found.toml + toml_log(table, read[0].kind)

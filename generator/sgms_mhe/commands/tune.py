@@ -7,20 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sgms_mhe.commands.common import (
-    check_output_file,
-    example,
-    json_option,
-    json_text,
-    log_argument,
-    machine_argument,
-    out_option,
-    recorded_log,
-    show,
-    standalone_option,
-    step_notes,
-    table_text,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.libraries import optional_library
 
@@ -30,15 +17,15 @@ if TYPE_CHECKING:
 
 @click.command(
     short_help="Noise weights and horizon from a log.",
-    epilog=example("tune etel_xy log.csv --out tuned.toml", "tune my_axis.toml log.csv --plot trade_off.png"),
+    epilog=common.example("tune etel_xy log.csv --out tuned.toml", "tune my_axis.toml log.csv --plot trade_off.png"),
 )
-@machine_argument
-@log_argument
+@common.machine_argument
+@common.log_argument
 @log_options
-@out_option("A machine file that extends MACHINE by the weights.", metavar="MACHINE.toml", required=False)
-@standalone_option
+@common.out_option("A machine file that extends MACHINE by the weights.", metavar="MACHINE.toml", required=False)
+@common.standalone_option
 @click.option("--plot", type=click.Path(path_type=Path), metavar="PNG", help="Draw the gain of every weight.")
-@json_option
+@common.json_option
 def command(
     machine: str,
     log: Path,
@@ -56,23 +43,23 @@ def command(
     """
     resolved = load_for_log(machine, table)
     if out is not None:
-        check_output_file(out, (".toml",))
+        common.check_output_file(out, (".toml",))
     if plot is not None:
-        check_output_file(plot, (".png", ".svg"))
+        common.check_output_file(plot, (".png", ".svg"))
         optional_library("matplotlib", "plot", "a figure", "--plot")
 
     from sgms_mhe.evaluation.plots import save_figure, trade_off_figure
     from sgms_mhe.evaluation.tuning import tune
     from sgms_mhe.support.files import write_text
 
-    with step_notes() as progress:
-        tuned = tune(resolved, recorded_log(log, resolved), progress)
+    with common.step_notes() as progress:
+        tuned = tune(resolved, common.recorded_log(log, resolved), progress)
     if out is not None:
         write_text(out, _toml(tuned, out, log.name, standalone))
     if plot is not None:
         save_figure(plot, trade_off_figure(tuned))
     outputs = [path for path in (out, plot) if path is not None]
-    show(json_text(_content(tuned)) if as_json else _text(tuned, outputs), *outputs)
+    common.show(common.json_text(_content(tuned)) if as_json else _text(tuned, outputs), *outputs)
 
 
 def _content(tuned: Tuned) -> dict[str, Any]:
@@ -101,7 +88,7 @@ def _rows(tuned: Tuned) -> list[tuple[str, str, str]]:
 def _text(tuned: Tuned, outputs: list[Path]) -> str:
     start, best = tuned.start, tuned.best
     lines = [
-        table_text(("weight", "file", "log"), _rows(tuned)),
+        common.table_text(("weight", "file", "log"), _rows(tuned)),
         f"mean test ratio {start.ratio:.3g} before, {best.ratio:.3g} after; loss {start.mean:.4f} before, "
         f"{best.mean:.4f} after",
     ]

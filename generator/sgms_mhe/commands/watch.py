@@ -12,23 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import click
 
-from sgms_mhe.commands.common import (
-    LONGEST_RECORD,
-    NumberType,
-    check_output_file,
-    example,
-    is_stream,
-    json_option,
-    json_text,
-    log_argument,
-    machine_argument,
-    note,
-    out_option,
-    parameters_text,
-    show,
-    table_text,
-    updates_text,
-)
+from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.errors import InputError
 
@@ -43,7 +27,7 @@ SHOWN: Final = 10
 """Stretches with a fault that the text lists."""
 
 
-class Speed(NumberType):
+class Speed(common.NumberType):
     """A number, or `max`."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -84,14 +68,14 @@ class Interrupt:
 
 @click.command(
     short_help="Show an estimator live along a log that grows, or is replayed.",
-    epilog=example(
+    epilog=common.example(
         "watch etel_xy axis.csv --speed 10 --page axis.html",
         "watch etel_xy axis.csv --follow --out estimates.csv",
         "watch etel_xy - < /dev/ttyACM0",
     ),
 )
-@machine_argument
-@log_argument
+@common.machine_argument
+@common.log_argument
 @log_options
 @click.option("--follow", is_flag=True, help="LOG grows: go on with its new rows.")
 @click.option(
@@ -103,20 +87,20 @@ class Interrupt:
     help="Of a replay, times real time; max: as fast as it goes.",
 )
 @click.option(
-    "--idle", "idle_s", type=NumberType(0.1, 1e6), metavar="S", help="End after so long without a new line [s]."
+    "--idle", "idle_s", type=common.NumberType(0.1, 1e6), metavar="S", help="End after so long without a new line [s]."
 )
 @click.option(
     "--every",
     "every_s",
-    type=NumberType(1e-3, LONGEST_RECORD),
+    type=common.NumberType(1e-3, common.LONGEST_RECORD),
     metavar="S",
     default=5.0,
     show_default=True,
     help="A line on stderr so often [s of the log].",
 )
 @click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Page to write, anew every 2 s.")
-@out_option("CSV to write, as estimate does: rows are appended as they come.", required=False)
-@json_option
+@common.out_option("CSV to write, as estimate does: rows are appended as they come.", required=False)
+@common.json_option
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -140,8 +124,8 @@ def command(
     resolved = load_for_log(machine, table)
     for path, suffixes in ((out, ()), (page, (".html", ".htm"))):
         if path is not None:
-            check_output_file(path, suffixes)
-    growing = follow or str(log) == "-" or is_stream(log)
+            common.check_output_file(path, suffixes)
+    growing = follow or str(log) == "-" or common.is_stream(log)
     if idle_s is not None and not growing:
         raise InputError(log, "--idle", idle_s, "a log that grows: --follow, a pipe, or - for standard input")
     given = ctx.get_parameter_source("speed")
@@ -165,8 +149,8 @@ def command(
         if watch.course.updates:
             remarks = [*watch.doubts, *source.remarks, *([str(error)] if error is not None else [])]
             summary = {"log": name, "ended": ended, "remarks": remarks} | watch.course.summary()
-            text = json_text(resolved.plant.units.keyed(summary)) if as_json else _text(resolved, summary)
-            show(text, *([] if out is None else [out]))
+            text = common.json_text(resolved.plant.units.keyed(summary)) if as_json else _text(resolved, summary)
+            common.show(text, *([] if out is None else [out]))
             if shown is not None:
                 shown.end(watch.course, ended, tuple(remarks))
     _leave(ctx, interrupt, watch, error, name)
@@ -180,11 +164,11 @@ def _source(
 
     if str(log) == "-":
         return watching.Streamed(sys.stdin.buffer, watching.STDIN, machine, idle_s, clock)
-    if is_stream(log):
+    if common.is_stream(log):
         return watching.Streamed(log.open("rb", buffering=0), log, machine, idle_s, clock)
     if follow:
         return watching.Followed(log, machine, idle_s, clock)
-    return watching.Replay(log, machine, speed, clock, note)
+    return watching.Replay(log, machine, speed, clock, common.note)
 
 
 def _run(
@@ -206,7 +190,7 @@ def _run(
                 if rows is not None:
                     rows.append(estimates)
             for doubt in watch.doubts[told:]:
-                note(doubt)
+                common.note(doubt)
             told = len(watch.doubts)
             lines.show(watch.course)
             if page is not None:
@@ -225,7 +209,7 @@ def _leave(ctx: click.Context, interrupt: Interrupt, watch: Watch, error: InputE
     if error is not None:
         raise error
     if interrupt.number:
-        note(f"Interrupted after {watch.course.updates} updates.")
+        common.note(f"Interrupted after {watch.course.updates} updates.")
         ctx.exit(128 + interrupt.number)
     if not watch.course.updates:
         machine = watch.course.machine
@@ -252,9 +236,10 @@ def _text(machine: Machine, summary: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"{summary['machine']}, {summary['log']}: ended, {summary['ended']}",
-            f"{summary['samples']} samples, {summary['missing_samples']} missing; {updates_text(units, summary)}",
-            parameters_text(units, summary["parameters"]),
-            table_text(("status", "time", "updates"), states),
+            f"{summary['samples']} samples, {summary['missing_samples']} missing; "
+            f"{common.updates_text(units, summary)}",
+            common.parameters_text(units, summary["parameters"]),
+            common.table_text(("status", "time", "updates"), states),
             f"greatest test ratio {greatest['value']:.4g} at {greatest['time_s']:.2f} s",
             *(["faults seen:", *episodes] if episodes else ["faults seen: none"]),
             *(f"mind: {remark}" for remark in summary["remarks"]),
