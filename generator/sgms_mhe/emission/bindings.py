@@ -8,7 +8,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final, Literal
@@ -122,7 +122,7 @@ class Variable:
     start: str | None = None
     least: float | None = None
     most: float | None = None
-    variability: Literal["tunable", "fixed"] = "tunable"
+    variability: Literal["tunable", "fixed"] = field(default="tunable", kw_only=True)
 
     @property
     def exponents(self) -> str:
@@ -192,9 +192,9 @@ def _estimated_variables(view: PackageView) -> Iterator[_Row]:
     for i in range(view.sizes.elements):
         code = f"(double)now->deflection[{i}]"
         yield f"deflection[{i + 1}]", "Real", "output", unit, f"deflection of element {i + 1}", code
-    for field, text in (("parameter", "estimated"), ("deviation", "one standard deviation")):
+    for kind, text in (("parameter", "estimated"), ("deviation", "one standard deviation")):
         for p, name in enumerate(view.model.parameter_columns):
-            yield f"{field}.{name}", "Real", "output", "", f"{name}, {text}, SI units", f"(double)now->{field}[{p}]"
+            yield f"{kind}.{name}", "Real", "output", "", f"{name}, {text}, SI units", f"(double)now->{kind}[{p}]"
 
 
 SUFFIX: Final = ".fmu/"

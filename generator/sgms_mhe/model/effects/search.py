@@ -14,9 +14,10 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.model.effects.motion import Array, MotionRecord
+from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter
 
+Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Values = Mapping[str, float]
 Grid = Callable[[MotionRecord], Sequence[Values]]
