@@ -32,6 +32,7 @@ def diagnose_with(name: str) -> Diagnosis:
     return diagnose(axis, replace(log, force_N=log.force_N + force / np.sqrt(np.mean(force**2))))
 
 
+@pytest.mark.slow
 def test_an_offset_that_changes_stays_without_a_name(tmp_path: Path) -> None:
     """Beside a force that jumps between two values an offset is not the same in all parts of the record."""
     found = diagnose_with("telegraph")

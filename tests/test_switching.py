@@ -292,6 +292,7 @@ def test_a_diagnosis_takes_the_law_as_it_is() -> None:
     assert found.law == "switching" and not any("[friction] law" in note for note in found.warnings)
 
 
+@pytest.mark.slow
 def test_an_effect_that_cannot_switch_is_found_on_an_axis_that_does() -> None:
     settings = switching()
     path = make_trajectory("mixed", RATE, duration_s=8.0)

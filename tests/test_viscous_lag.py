@@ -28,7 +28,8 @@ def diagnose_film(lag_s: float, *, curved: bool) -> Diagnosis:
     return diagnose(axis, simulate_axis(axis, path, AxisConfig(seed=2, force_noise_N=0.05), hidden_effects=hidden).log)
 
 
-@pytest.mark.parametrize("lag_s", [0.08, pytest.param(0.25, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("lag_s", [0.08, 0.25])
 def test_late_film_of_a_curve_is_found_with_its_lag(lag_s: float) -> None:
     found = diagnose_film(lag_s, curved=True)
     assert {cause.name for cause in found.causes} == {"friction_curve", "viscous_lag"}, found.summary
