@@ -145,3 +145,47 @@ def test_runs_of_one_direction_each_are_told_by_all_together() -> None:
     within(found, coulomb=8.0, viscous=2.3, unbalance__amplitude_N=38.5)
     assert found.number("coulomb").std < 0.1 and found.number("coulomb").determined
     assert found.limits[0].startswith("the file is that of least squares")
+
+
+# --- at rest within a count ------------------------------------------------------------------------------------------
+
+
+def stuck_servo(stiffness: float, frequencies: tuple[float, float], load: float, level: float, seed: int) -> Log:
+    """A geared servo under its own position loop turns a pendulum, and stands while the loop's torque grows.
+
+    Friction is a level and a share of the motor's torque; the axis sticks as long as the rest of the torque is less.
+    """
+    random, inner, rate = np.random.default_rng(seed), 1e-4, 200.0
+    count, phase = 2.0 * math.pi / 4096, random.uniform(0.0, 2.0 * math.pi, 2)
+    angle, speed, torque, rows = 0.0, 0.0, 0.0, []
+    for i in range(int(8.0 / inner)):
+        time = i * inner
+        if i % 10 == 0:
+            waves = np.sin(2.0 * np.pi * np.array(frequencies) * time + phase) - np.sin(phase)
+            torque = float(np.clip(stiffness * (float(waves @ (0.9, 0.7)) - round(angle / count) * count), -0.9, 0.9))
+        if i % 50 == 0:
+            rows.append((time, round(angle / count) * count, torque))
+        driven, rubs = torque - 0.5 * math.sin(angle) - 0.05 * speed, level + load * abs(torque)
+        if speed == 0.0 and abs(driven) <= rubs:
+            continue
+        direction = math.copysign(1.0, speed or driven)
+        new = speed + inner * (driven - rubs * direction) / 0.008
+        speed = 0.0 if speed * new < 0.0 else new
+        angle += inner * speed
+    time, read, driven_by = np.array(rows).T
+    return Log(time, read, driven_by, rate, kind="rotary", source=f"servo{seed}.csv")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("load", "level", "draw"), [(0.25, 0.02, 1), (0.15, 0.03, 2), (0.35, 0.015, 3)], ids=["some", "less", "more"]
+)
+def test_rest_within_a_count_does_not_measure_friction(load: float, level: float, draw: int) -> None:
+    logs = [
+        stuck_servo(0.4, (0.3, 0.8), load, level, 10 * draw),
+        stuck_servo(0.6, (0.25, 0.9), load, level, 10 * draw + 1),
+    ]
+    assert all(np.mean(np.diff(log.position_m) == 0.0) > 0.05 for log in logs)
+    found = identify(logs, Wanted("servo"))
+    within(found, mass=0.008, viscous=0.05, unbalance__amplitude_N=0.5, load_dependent_friction__ratio=load)
+    assert found.number("unbalance.amplitude_N").std < 0.02

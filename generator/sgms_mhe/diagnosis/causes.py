@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, hangs_on_time, material_force, small_force
 from sgms_mhe.diagnosis.final_fit import FinalFit, split_rms
-from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, report_name, report_values
+from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, fit_model, report_name, report_values
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.parametrisation import (
     ParameterGroup,
@@ -65,7 +65,7 @@ def measure_causes(final: FinalFit, selection: Selection, blind: Fit) -> dict[Pa
     causes = {}
     for group in selection.causes:
         effects, refitted = drop_effect(blind.effects, group), drop_group(selection.refitted, group)
-        without = final.fit(effects, refitted=refitted, warm=blind, rows=final.seen)
+        without = fit_model(final.subject, effects, refitted=refitted, warm=blind, rows=final.seen)
         before, held_before = split_rms(without, recording)
         after, held_after = split_rms(blind, recording)
         causes[group] = Cause(
@@ -172,7 +172,7 @@ def confirm_causes(final: FinalFit, selection: Selection) -> Confirmed:
     """The causes that hold on held-out data; what does not is taken out, the weakest first."""
     while selection.causes:
         fit = selection.fit
-        blind = final.fit(fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
+        blind = fit_model(final.subject, fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
         causes = measure_causes(final, selection, blind)
         doubts = _find_doubts(final, fit, causes, explained=True)
         found = Confirmed(selection, blind, _strongest_first(causes))
@@ -278,7 +278,7 @@ def keep_predictive(final: FinalFit, selection: Selection) -> Confirmed:
         selection = replace(less, inconstant=(*selection.inconstant, worst.cause))
     while selection.causes:
         fit = selection.fit
-        blind = final.fit(fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
+        blind = fit_model(final.subject, fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
         causes = measure_causes(final, selection, blind)
         doubts = _find_doubts(final, fit, causes, explained=False)
         lost = [
@@ -339,10 +339,10 @@ def refit_numbers(final: FinalFit, found: Confirmed, *, explained: bool) -> Conf
     free: Fit | None = None
     for warm in starts:
         with suppress(FitError):  # beside a gap some of them are no model of the record
-            free = final.fit(fit.effects, refitted=groups, warm=warm, iterations=iterations, again=True)
+            free = fit_model(final.subject, fit.effects, refitted=groups, warm=warm, iterations=iterations, again=True)
     if free is None:
         return found
-    blind = final.fit(fit.effects, refitted=groups, warm=free, rows=final.seen, iterations=iterations)
+    blind = fit_model(final.subject, fit.effects, refitted=groups, warm=free, rows=final.seen, iterations=iterations)
     if not split_rms(blind, final.recording)[1] < split_rms(found.blind, final.recording)[1]:
         return found
     unnamed = tuple(group for group in groups if group not in selection.causes)
@@ -385,11 +385,13 @@ def restore_undetermined(final: FinalFit, found: Confirmed) -> Confirmed:
     if not fixed:
         return found
     names = frozenset(fixed)
-    least = final.fit(fit.effects, refitted=selection.refitted, warm=fit, fixed=names)
+    least = fit_model(final.subject, fit.effects, refitted=selection.refitted, warm=fit, fixed=names)
     level = final.subject.machine.diagnosis.material * final.subject.machine.friction.coulomb
     if gain_force(least.cross, fit.cross, fit.rows) > max(level, MATERIAL_NOISE * final.floor):
         return found
-    blind = final.fit(least.effects, refitted=selection.refitted, warm=least, rows=final.seen, fixed=names)
+    blind = fit_model(
+        final.subject, least.effects, refitted=selection.refitted, warm=least, rows=final.seen, fixed=names
+    )
     selection = replace(selection, fit=least)
     return Confirmed(selection, blind, _strongest_first(measure_causes(final, selection, blind)))
 
@@ -413,7 +415,7 @@ def _strongest_first(causes: Mapping[ParameterGroup, Cause]) -> tuple[Cause, ...
 def _without(final: FinalFit, selection: Selection, group: ParameterGroup) -> Selection:
     """The selection without one of its causes, the others fitted again."""
     refitted = drop_group(selection.refitted, group)
-    fit = final.fit(drop_effect(selection.fit.effects, group), refitted=refitted, warm=selection.fit)
+    fit = fit_model(final.subject, drop_effect(selection.fit.effects, group), refitted=refitted, warm=selection.fit)
     return _remove_name(replace(selection, fit=fit, refitted=refitted), selection, group)
 
 
@@ -442,7 +444,7 @@ def _inconstancy(final: FinalFit, selection: Selection, group: ParameterGroup) -
     """Return the relative change of a cause's size over the record."""
     fit = selection.fit
     refitted = drop_group(selection.refitted, group)
-    without = final.fit(drop_effect(fit.effects, group), refitted=refitted, warm=fit)
+    without = fit_model(final.subject, drop_effect(fit.effects, group), refitted=refitted, warm=fit)
     inertial = cause_definition(group.cause).inertial
     return inconstancy(final.recording, without.residual - fit.residual, fit.residual, inertial=inertial)
 
@@ -451,8 +453,8 @@ def _is_consequence(final: FinalFit, selection: Selection, group: ParameterGroup
     """Return True if a number of the machine is wrong only beside the effects: right for a model without them."""
     if group.is_candidate or not selection.fit.effects:
         return False
-    fit, plain = selection.fit, final.fit((), refitted=())
-    without = final.fit(fit.effects, refitted=drop_group(selection.refitted, group), warm=fit)
-    alone = final.fit((), refitted=(group,), warm=plain)
+    fit, plain = selection.fit, fit_model(final.subject, (), refitted=())
+    without = fit_model(final.subject, fit.effects, refitted=drop_group(selection.refitted, group), warm=fit)
+    alone = fit_model(final.subject, (), refitted=(group,), warm=plain)
     gained = gain_force(plain.cross, alone.cross, fit.rows)
     return gained < FOLLOWS * gain_force(without.cross, fit.cross, fit.rows)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -15,7 +14,7 @@ from sgms_mhe.diagnosis.candidates import edge_rows
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.laws import ALIGNMENTS, Laws
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup, drop_effect, drop_group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, drop_effect, drop_group
 from sgms_mhe.diagnosis.result import RivalFit
 from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.model.effects import effect_definition
@@ -108,29 +107,6 @@ class FinalFit:
     def seen(self) -> Mask:
         """Rows (m) that the fit behind the reported gains sees."""
         return self.recording.used & ~self.recording.rows_held_out()
-
-    def fit(
-        self,
-        effects: Sequence[CandidateEffect],
-        *,
-        refitted: Sequence[ParameterGroup] | None = None,
-        warm: Fit | None = None,
-        rows: Mask | None = None,
-        fixed: frozenset[str] = frozenset(),
-        iterations: int | None = None,
-        again: bool = False,
-    ) -> Fit:
-        """`fit_model` of the subject."""
-        return fit_model(
-            self.subject,
-            effects,
-            refitted=refitted,
-            warm=warm,
-            rows=rows,
-            fixed=fixed,
-            iterations=iterations,
-            again=again,
-        )
 
     def residual_of(self, fit: Fit) -> RecordResidual:
         """Return the residual of the whole record."""
@@ -262,7 +238,7 @@ def fit_rivals(final: FinalFit, selection: Selection) -> tuple[RivalFit, ...]:
         else:
             refitted = (*drop_group(refitted, rival.group), rival.group)
         try:
-            fit = final.fit(effects, refitted=refitted, warm=rival.fit, rows=final.seen)
+            fit = fit_model(final.subject, effects, refitted=refitted, warm=rival.fit, rows=final.seen)
         except FitError:
             continue
         left = final.residual_of(fit)

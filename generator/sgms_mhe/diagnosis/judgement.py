@@ -66,9 +66,9 @@ def judge(final: FinalFit) -> Judged:
     """Confirm the causes, and say whether they explain the record."""
     found = confirm_causes(final, final.selection)
     groups = machine_groups(final.subject.machine) if final.subject.is_open else ()
-    plain = final.fit((), refitted=groups, warm=found.selection.fit if groups else None)
+    plain = fit_model(final.subject, (), refitted=groups, warm=found.selection.fit if groups else None)
     # The base numbers' own small errors are no structure that asks for a name.
-    free = final.fit(found.selection.fit.effects, warm=found.selection.fit)
+    free = fit_model(final.subject, found.selection.fit.effects, warm=found.selection.fit)
     best = min(found.selection.fit, free, key=final.excess)
     before, after = final.excess(plain), final.excess(best)
     judged = found.selection.causes

@@ -358,7 +358,7 @@ def _combine_causes(final: FinalFit, judged: Judged) -> tuple[KnownCombination, 
         return ()
     labels = {cause.label for cause in judged.found.causes}
     groups = [(group, name_cause(selection.fit, group)) for group in selection.causes]
-    free = final.fit(selection.fit.effects, warm=selection.fit)
+    free = fit_model(final.subject, selection.fit.effects, warm=selection.fit)
     known = [(group, label) for group, label in groups if label in labels]
     return find_combinations(final.subject, free, final.other, known)
 

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.encoder import encoder_noise
@@ -24,16 +25,21 @@ from sgms_mhe.recordings.path import (
 )
 from sgms_mhe.recordings.recording import Recording, Runs, add_encoder, position_error, prepare
 from sgms_mhe.recordings.series import row_means
-from sgms_mhe.signals.chain import apply_chain, chain_delay, readings
+from sgms_mhe.signals.chain import apply_chain, chain_delay, readings, settle_samples
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import encoder_step, noise_course
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 FORGOTTEN: Final = 2.0
 """Excursion after which an element does not remember its start, over its break-away distance."""
 LEAD: Final = 0.6
 """Largest share of a log that is left out for that."""
+STAND: Final = 5
+"""Samples of one reading, and a third of what the chain remembers, from which on an axis stands: else it creeps."""
+MOVING: Final = 0.25
+"""Share of the rows in which an axis must move: with fewer its rest is what there is."""
 PATH_RATE: Final = 16000.0
 """Points of a way a second, where samples are fewer [Hz]: of a step the speed that rules a level is the mean."""
 RUNS_CACHED: Final = 64
@@ -166,10 +172,14 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
     steps = [recording.steps_inertia for recording in read]
     shown = any(inertia is not None for inertia in steps)
     noise = np.concatenate([_acceleration_noise(*one) for one in zip(read, logs, strict=True)])
+    still = np.concatenate([_find_stuck(*one) for one in zip(recordings, logs, strict=True)])
+    rows = replace(join_recordings(recordings), acceleration_noise=float(np.mean(noise**2)))
+    if np.count_nonzero(rows.used & ~still) >= MOVING * np.count_nonzero(rows.used):
+        rows = drop_rows(rows, still)
     return Records(
         machine=machine,
         names=names,
-        rows=replace(join_recordings(recordings), acceleration_noise=float(np.mean(noise**2))),
+        rows=rows,
         coarse=tuple(filter_motion(recording) for recording in recordings),
         fine=fine,
         resolution=max(resolutions),
@@ -193,6 +203,18 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
             for ways in zip(*(thin_path(path[0]) for path in paths), strict=True)
         ),
     )
+
+
+def _find_stuck(recording: Recording, log: Log) -> Mask:
+    """Rows (m) that the chain makes of samples at which the axis stands within a count of its encoder.
+
+    Friction there is anything within the level, by a motion that the log does not have: no column explains it.
+    """
+    position, settle = readings(log).position_m, settle_samples(recording.machine)
+    step = encoder_step(position)
+    run = np.cumsum(np.abs(np.diff(position, prepend=position[0])) > 0.5 * step)
+    stands = (np.bincount(run)[run] >= max(STAND, settle // 3)) & (step > 0.0)
+    return np.asarray(recording.reduce(maximum_filter1d(stands.astype(float), settle | 1)) > 0.5)
 
 
 def _read_path(log: Log, error: float) -> list[Array]:
