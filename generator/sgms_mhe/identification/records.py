@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -37,8 +38,10 @@ FORGOTTEN: Final = 2.0
 LEAD: Final = 0.6
 """Largest share of a log that is left out for that."""
 STAND: Final = 5
-"""Samples of one reading, and a third of what the chain remembers, from which on an axis stands: else it creeps."""
-MOVING: Final = 0.25
+"""Samples at one count from which on an axis may stand."""
+TURNS: Final = 5.0
+"""Time there, over that in which the acceleration's RMS passes a count, from which on it does: else it turns round."""
+MOVING: Final = 0.5
 """Share of the rows in which an axis must move: with fewer its rest is what there is."""
 PATH_RATE: Final = 16000.0
 """Points of a way a second, where samples are fewer [Hz]: of a step the speed that rules a level is the mean."""
@@ -212,8 +215,11 @@ def _find_stuck(recording: Recording, log: Log) -> Mask:
     """
     position, settle = readings(log).position_m, settle_samples(recording.machine)
     step = encoder_step(position)
+    if step == 0.0:
+        return np.zeros(len(recording.time), dtype=np.bool_)
     run = np.cumsum(np.abs(np.diff(position, prepend=position[0])) > 0.5 * step)
-    stands = (np.bincount(run)[run] >= max(STAND, settle // 3)) & (step > 0.0)
+    turn = math.sqrt(step / max(recording.rms(recording.acceleration), step)) * recording.machine.sampling.rate
+    stands = np.bincount(run)[run] >= max(STAND, TURNS * turn)
     return np.asarray(recording.reduce(maximum_filter1d(stands.astype(float), settle | 1)) > 0.5)
 
 
