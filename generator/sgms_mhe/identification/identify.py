@@ -403,7 +403,8 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, (*unexcited, *explored.unseen)))
     rows = views.fine.rows
-    floor = noise_floor(rows, fit.residual, largest_force(rows, encoder_forces(views.fine, final.written)))
+    whole = rows if records.whole is None else records.whole
+    floor = noise_floor(whole, fit.residual, largest_force(whole, encoder_forces(views.fine, final.written)))
     limits = [
         *explored.said,
         *said,

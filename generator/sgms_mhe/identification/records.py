@@ -104,6 +104,7 @@ class Records:
         machine: with the rates of the records; of its friction nothing counts.
         names: of the logs.
         rows: all rows one log behind the other; blocks, folds and what is held out as a diagnosis has them.
+        whole: the same with those at which the axis stands, as predict has them; None: `rows` are all.
         coarse: motion behind the filters at the rate of the rows, a log each.
         fine: the encoder's motion at the logs' rate, a log each.
         steps_inertia: force of the acceleration that the encoder's steps make (m) [N]; None where they do not show.
@@ -122,6 +123,7 @@ class Records:
     resolution: float
     warnings: tuple[str, ...]
     steps_inertia: Array | None = None
+    whole: Recording | None = None
     misread: tuple[tuple[ElementMotion, ...], ...] = ()
     thinned: tuple[tuple[ElementMotion, ...], ...] = ()
 
@@ -176,13 +178,14 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
     shown = any(inertia is not None for inertia in steps)
     noise = np.concatenate([_acceleration_noise(*one) for one in zip(read, logs, strict=True)])
     still = np.concatenate([_find_stuck(*one) for one in zip(recordings, logs, strict=True)])
-    rows = replace(join_recordings(recordings), acceleration_noise=float(np.mean(noise**2)))
+    rows = whole = replace(join_recordings(recordings), acceleration_noise=float(np.mean(noise**2)))
     if np.count_nonzero(rows.used & ~still) >= MOVING * np.count_nonzero(rows.used):
         rows = drop_rows(rows, still)
     return Records(
         machine=machine,
         names=names,
         rows=rows,
+        whole=whole,
         coarse=tuple(filter_motion(recording) for recording in recordings),
         fine=fine,
         resolution=max(resolutions),
