@@ -246,6 +246,19 @@ static double stribeck(const struct axis *axis, double v)
     return axis->set.coulomb * (1.0 + axis->set.stribeck_ratio * rise);
 }
 
+/* s of the law times the effects' factor, and what the load adds. */
+static void set_level(struct axis *axis, double level, double v, double position)
+{
+    axis->level = level * change(axis, AXIS_LEVEL_FACTOR, 1.0, v, position);
+    axis->level += change(axis, AXIS_LOAD_LEVEL, 0.0, v, position);
+}
+
+/* Deflection at which an element breaks away. */
+static double break_away(const struct axis *axis, int i)
+{
+    return axis->set.fraction[i] * axis->level / axis->set.stiffness[i];
+}
+
 /* Let the torque transmitted follow that of the present acceleration, halfway in a substep. The level sets the
  * acceleration and the torque sets the level: taken whole, a step would overshoot where a loss is near the torque. */
 static void move_transmitted(struct axis *axis)
@@ -272,9 +285,7 @@ static void move_level(struct axis *axis, double v, double end)
     }
     const double position = at_end ? axis->position : axis->position - axis->half_step * v;
     /* the direction is that of the drift, which moves the elements */
-    const double factor = change(axis, AXIS_LEVEL_FACTOR, 1.0, v, position);
-    axis->level = level * factor;
-    axis->level += change(axis, AXIS_LOAD_LEVEL, 0.0, v, position);
+    set_level(axis, level, v, position);
 }
 
 static double spring_force(const struct axis *axis)
@@ -301,7 +312,7 @@ static double engaged_velocity(struct axis *axis, double v)
 /* dz/dt of an element at velocity v: for the micro-viscous force. */
 static double deflection_rate(const struct axis *axis, int i, double v)
 {
-    const double scale = axis->set.fraction[i] * axis->level / axis->set.stiffness[i];
+    const double scale = break_away(axis, i);
     const double r = axis->deflection[i] / scale * sign(v);
     if (axis->law == AXIS_LAW_MAXWELL_SLIP) {
         return r < 1.0 ? v : 0.0;
@@ -317,7 +328,7 @@ static void move_elements(struct axis *axis, double v)
     const double gate = 2.0 * set->gamma * fabs(v) / set->stribeck_velocity;
 
     for (int i = 0; i < axis->elements; ++i) {
-        const double scale = set->fraction[i] * axis->level / set->stiffness[i];
+        const double scale = break_away(axis, i);
         double *z = &axis->deflection[i];
         if (axis->law == AXIS_LAW_MAXWELL_SLIP) {
             /* Along the motion an element that a falling level leaves behind slips back to it; against it it sticks,
@@ -433,17 +444,15 @@ void axis_place(struct axis *axis, double position)
     }
     axis->transmitted = change_now(axis, AXIS_OUTSIDE_FORCE, 0.0);
     axis->inertial = 0.0;
-    axis->level *= change_now(axis, AXIS_LEVEL_FACTOR, 1.0);
-    axis->level += change_now(axis, AXIS_LOAD_LEVEL, 0.0);
+    set_level(axis, axis->level, axis->velocity, axis->position);
 }
 
 void axis_move(struct axis *axis, double velocity, const double *deflection)
 {
     axis->velocity = velocity;
-    axis->level = stribeck(axis, velocity) * change_now(axis, AXIS_LEVEL_FACTOR, 1.0);
-    axis->level += change_now(axis, AXIS_LOAD_LEVEL, 0.0);
+    set_level(axis, stribeck(axis, velocity), velocity, axis->position);
     for (int i = 0; i < axis->elements; ++i) {
-        const double most = axis->set.fraction[i] * axis->level / axis->set.stiffness[i];
+        const double most = break_away(axis, i);
         axis->deflection[i] = fmin(fmax(deflection[i], -most), most);
     }
 }

@@ -65,7 +65,7 @@ def test_each_effect_is_checked_and_exported(name: str, kind: Kind, law: str, tm
 @pytest.mark.slow
 @pytest.mark.parametrize("late", ["force_delay", "actuator_lag"])
 def test_late_force_of_elements_at_their_level(late: str, tmp_path: Path) -> None:
-    """Whether an element sticks shows in a late force: rounding does not decide that where a level has many terms."""
+    """C and reference agree on which elements at their level stick, which a late force shows."""
     names = ["position_dependent_friction", late, "load_dependent_friction", "drive_efficiency"]
     path, log = write_extended(tmp_path, "rotary", "switching", names, alone=True), tmp_path / "log.csv"
     done("simulate", path, "--trajectory", "mixed", "--duration", "3", "--out", log)

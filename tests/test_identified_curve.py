@@ -164,7 +164,7 @@ def test_an_entry_of_nothing_is_as_sure_as_the_largest_of_its_list() -> None:
     """The force at a knot may be 0: a deviation over that says nothing."""
     fit = make_fit(2.0, np.array([4.0, 0.0, 0.3, 0.2]))
     cov = np.diag([0.0, 0.0, 0.01, 0.01, 0.01, 0.01])
-    final = FinalIdentification(fit, cov, {}, None, math.nan, math.nan, None, fit)  # type: ignore[arg-type]
+    final = FinalIdentification(fit, cov, {}, None, math.nan, math.nan, None)  # type: ignore[arg-type]
     found = {n.name.removeprefix("friction_curve."): n for n in effect_numbers(final)}
     assert found["forward_2_N"].value == 0.0 and found["forward_2_N"].std == pytest.approx(0.1)
     assert found["forward_1_N"].determined and found["forward_2_N"].determined

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -103,7 +104,6 @@ class FinalIdentification:
         held_out_rms: residual of a fit of two thirds on the last third of the blocks [N].
         stated_rms: the same without errors of timing, as the file has none [N].
         view: the records as they were fitted.
-        written: the fit with elements as the file has them.
         rivals: effects that explain the records as well as one that was chosen, or that its motion does not tell from
             it, by its name.
         beside_mass: effects whose deviations are those beside a free mass: the one given is all that speaks for them.
@@ -116,13 +116,18 @@ class FinalIdentification:
     held_out_rms: float
     stated_rms: float
     view: RecordView
-    written: AxisFit
     rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     beside_mass: tuple[str, ...] = ()
 
+    @cached_property
+    def written(self) -> AxisFit:
+        """The fit with elements as the file has them."""
+        known = [self.numbers[f"stiffness_{k + 1}"].relative <= UNSURE for k in range(len(self.fit.levels))]
+        return soften_stand_ins(self.view, self.fit, np.array(known))
+
     @property
-    def unresolved(self) -> Mask:
-        """Elements (k) of which the file has stand-ins, as the records tell them from none that breaks away earlier."""
+    def stand_ins(self) -> Mask:
+        """Elements (k) that the file has less stiff than the fit: the records do not tell how early they break away."""
         return self.written.shape.distances > self.fit.shape.distances
 
 
@@ -232,10 +237,8 @@ def state_numbers(
     if "viscous" in dropped:  # held at 0 it would make the level look surer than it is
         numbers["coulomb"] = replace(numbers["coulomb"], std=wide["coulomb"].std)
     left, stated = measure_unseen(view, fit)
-    known = [numbers[f"stiffness_{k + 1}"].relative <= UNSURE for k in range(len(fit.levels))]
-    written = soften_stand_ins(view, fit, np.array(known))
     rivals = {name: others for name, others in rivals.items() if fit.place(name).stop}
-    return FinalIdentification(fit, cov, numbers, mass, left, stated, view, written, rivals, beside)
+    return FinalIdentification(fit, cov, numbers, mass, left, stated, view, rivals, beside)
 
 
 def _law_covariance(view: RecordView, fit: AxisFit) -> Array:

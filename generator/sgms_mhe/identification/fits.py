@@ -45,11 +45,11 @@ WIDER: Final = 4.0
 FINER: Final = 100.0
 """Below its smallest: that an element breaks away before an encoder sees it must not make it break away late."""
 COUNTS: Final = 3.5
-"""Times its smallest, about as many counts of an encoder: elements of a file that are not known break away after it."""
+"""Times its smallest, about as many counts of an encoder: elements not known break away there at the latest."""
 HALVINGS: Final = 5
-"""Halvings of that distance that are tried, until they leave no more than"""
+"""Distances that are tried for them, each half of the one before."""
 LATENESS: Final = 0.08
-"""of the level [-] beyond what those that break away earlier do."""
+"""Of the level [-]: what a break-away that late may leave beyond what the fit does."""
 STRIBECK: Final = (1e-4, 5.0)
 """Stribeck velocities that a fit follows, over the fastest speed: beyond that, the intervals say what is open."""
 MOST_NOISE: Final = 0.5
@@ -370,6 +370,8 @@ def soften_stand_ins(view: RecordView, fit: AxisFit, known: Mask) -> AxisFit:
     """
     distances, earliest = fit.shape.distances, distance_limits(fit.shape.law, fit.shape.rise, view)[0]
     unresolved = (distances < max(COUNTS * view.limits[0], earliest)) & ~(known & (distances > view.limits[0]))
+    if not unresolved.any():
+        return fit
     softer = fit
     for latest in COUNTS * view.limits[0] * 0.5 ** np.arange(HALVINGS):
         held = np.where(unresolved, np.maximum(distances, max(latest, earliest)), distances)

@@ -402,8 +402,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         mass, said = mass_number(final, given, mass_kg, units)
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, (*unexcited, *explored.unseen)))
-    rows = views.fine.rows
-    whole = rows if records.whole is None else records.whole
+    whole = views.fine.rows if records.whole is None else records.whole
     floor = noise_floor(whole, fit.residual, largest_force(whole, encoder_forces(views.fine, final.written)))
     limits = [
         *explored.said,

@@ -177,10 +177,10 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
     steps = [recording.steps_inertia for recording in read]
     shown = any(inertia is not None for inertia in steps)
     noise = np.concatenate([_acceleration_noise(*one) for one in zip(read, logs, strict=True)])
-    still = np.concatenate([_find_stuck(*one) for one in zip(recordings, logs, strict=True)])
+    stands = np.concatenate([_find_stands(*one) for one in zip(recordings, logs, strict=True)])
     rows = whole = replace(join_recordings(recordings), acceleration_noise=float(np.mean(noise**2)))
-    if np.count_nonzero(rows.used & ~still) >= MOVING * np.count_nonzero(rows.used):
-        rows = drop_rows(rows, still)
+    if np.count_nonzero(rows.used & ~stands) >= MOVING * np.count_nonzero(rows.used):
+        rows = drop_rows(rows, stands)
     return Records(
         machine=machine,
         names=names,
@@ -211,7 +211,7 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
     )
 
 
-def _find_stuck(recording: Recording, log: Log) -> Mask:
+def _find_stands(recording: Recording, log: Log) -> Mask:
     """Rows (m) that the chain makes of samples at which the axis stands within a count of its encoder.
 
     Friction there is anything within the level, by a motion that the log does not have: no column explains it.
