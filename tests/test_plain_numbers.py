@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sgms_mhe.api.estimation import predict
+from sgms_mhe.api.estimation import estimate, predict
 from sgms_mhe.identification import Identification, Wanted, identify
 from sgms_mhe.identification.description import STAND_IN, _number
 from sgms_mhe.identification.fits import NumberEstimate
@@ -55,8 +55,8 @@ def test_no_deviation_is_wider_than_a_numbers_range(value: float, std: float, up
     assert not number.determined and number.note == STAND_IN
 
 
-def test_a_stand_in_is_no_stiffer_than_counts_show() -> None:
-    """A flicker of a count at rest then moves friction by a fifth of its level, not by all of it."""
+def test_flicker_at_rest_is_no_motion_of_a_stand_in() -> None:
+    """A stand-in is no stiffer than a count shows; readings within a step move neither friction nor parameters."""
     rate, random = 500.0, np.random.default_rng(4)
 
     def torque(a: Array, v: Array, _: Array) -> Array:
@@ -68,15 +68,20 @@ def test_a_stand_in_is_no_stiffer_than_counts_show() -> None:
     stiffness = found.number("stiffness_1")
     assert found.machine.friction.n_z == 1
     assert not stiffness.determined and found.to_json()["numbers"][2]["std"] is None
-    assert 1.5 * COUNT <= found.number("coulomb").value / stiffness.value <= 4.5 * COUNT
+    assert 0.8 * COUNT <= found.number("coulomb").value / stiffness.value <= 1.2 * COUNT
+    assert found.machine.sampling.position_step == pytest.approx(COUNT, rel=1e-5)
     assert f"element 1: {stiffness.value:.6g} N m/rad" in found.toml
     within(found, coulomb=0.57, viscous=0.5)
 
-    stop = np.concatenate((np.full(500, 0.3), np.zeros(1000)))
-    log = joint_log(stop, rate, COUNT, torque)
-    log.position_m[600:] += COUNT * random.integers(-1, 2, 900)
-    friction = predict(found.machine, log).friction_N[700:]
-    assert np.nanstd(friction) < 0.2 * 0.57
+    rest = np.convolve(np.tile(np.repeat([0.3, 0.0, -0.9, 0.0], 500), 4), np.ones(30) / 30.0, "same")
+    log = joint_log(rest, rate, COUNT, torque)
+    log.position_m[:] += COUNT * random.integers(-1, 2, len(rest)) * (rest == 0.0)
+    stands = np.concatenate([np.arange(k + 650, k + 980) for k in range(0, len(rest), 1000)])
+    assert np.nanstd(np.diff(predict(found.machine, log).friction_N)[stands]) < 0.02 * 0.57
+    estimates = estimate(found.machine, log)
+    assert np.std(np.interp(log.time_s[stands], estimates.time_s, estimates.friction_N)) < 0.1 * 0.57
+    assert estimates.parameter_names == ("coulomb", "viscous")
+    assert np.all(np.abs(estimates.parameters[-1] - (0.57, 0.5)) <= 2.0 * estimates.std[-1])
 
 
 @pytest.mark.slow

@@ -500,6 +500,7 @@ def chain(log: Log, axis: Machine, precision: str, wanted: int = sum(WANTED.valu
         pointer(coefficients),
         ctypes.c_double(axis.sampling.rate),
         ctypes.c_double(axis.plant.moved),
+        ctypes.c_double(axis.sampling.position_step),
         settle_samples(axis),
         wanted,
         pointer(position),
@@ -622,6 +623,14 @@ def test_chain_at_other_rates(rate: float, cutoff: float, precision: str) -> Non
     path = make_trajectory("mixed", rate, max_velocity=0.3).position_m[: int(0.6 * rate)]
     log = Log(np.arange(len(path)) / rate, np.round(path / 1e-9) * 1e-9, np.full(len(path), 3.0), rate=rate)
     compare_chains(spoilt(log, [(300, 303)], [(400, 401)]), axis, precision)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("gaps", list(GAPS))
+def test_chain_within_a_step_of_the_encoder(gaps: str, precision: str) -> None:
+    log, counts = motion(), np.random.default_rng(1).integers(-1, 2, 14000)
+    coarse = dataclasses.replace(log, position_m=1e-5 * (np.round(log.position_m / 1e-5) + counts))
+    compare_chains(spoilt(coarse, *GAPS[gaps]), machine(sampling={"position_step": 1e-5}), precision)
 
 
 def test_single_precision_takes_positions_that_a_float_cannot_hold() -> None:

@@ -128,14 +128,15 @@ enum { SGMS_POSITION = 1, SGMS_FORCE = 2, SGMS_ACCELERATION = 4 };
 /* Constants of a chain. */
 typedef struct {
     sgms_lowpass lowpass;
-    sgms_real rate; /* Hz */
+    sgms_real rate;     /* Hz */
+    sgms_position step; /* of the encoder; 0: a reading is where the axis is */
     int32_t settle; /* samples that a disturbance of the filters lasts */
     int wanted;     /* signals to compute */
 } sgms_chain;
 
 /* Memory of the chain. Plain arrays, which the public header of a package declares without this. */
 typedef struct {
-    sgms_position *position; /* [2] last position, last raw difference */
+    sgms_position *position; /* [2] last position of the axis, last raw difference */
     sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
     sgms_real *last; /* [SGMS_FILTER_LAST] last force, filtered velocity; force, position before */
     int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap,
@@ -147,6 +148,19 @@ typedef struct {
     sgms_real position, velocity, acceleration, force, friction;
     int valid; /* whether friction may be used as a measurement */
 } sgms_aligned;
+
+/* Where an axis is: where it was at last, as long as a reading is within a step of that. A count of
+ * flicker at rest is no motion then, which would take friction from one level to the other. */
+static inline sgms_position sgms_axis_at(
+    const sgms_chain *chain, sgms_position last, sgms_position reading)
+{
+    sgms_position at = reading;
+    if (chain->step > 0) {
+        const sgms_position low = reading - chain->step, high = reading + chain->step;
+        at = last < low ? low : last > high ? high : last;
+    }
+    return at;
+}
 
 /* Take in what a sample disturbs: a channel's first good value, a gap that is filled, filters that
  * have not settled. `rest` is the state of the filters of a force that has always been there.
@@ -185,6 +199,7 @@ static SGMS_COLD int sgms_filter_disturbed(
             m->counts[1]++;
         }
     } else {
+        *position = sgms_axis_at(chain, m->position[0], *position);
         m->position[1] = sgms_position_difference(*position, m->position[0]);
         if (m->counts[1] > chain->settle) { /* what was travelled unseen is not a velocity */
             m->position[1] = 0;
@@ -223,6 +238,7 @@ static inline sgms_aligned sgms_filter_step(
 
     if (sgms_position_is_good(position) && sgms_is_reading(force) && m->counts[0] == 3 &&
         m->counts[1] == 0 && m->counts[2] >= chain->settle) {
+        position = sgms_axis_at(chain, m->position[0], position);
         m->position[1] = sgms_position_difference(position, m->position[0]);
         out.valid = 1;
     } else {

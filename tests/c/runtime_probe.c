@@ -94,6 +94,7 @@ void probe_chain(
     const double *coefficients,
     double rate,
     double mass,
+    double step,
     int settle,
     int wanted,
     const sgms_position *position,
@@ -109,6 +110,7 @@ void probe_chain(
              .a1 = (sgms_real)coefficients[3],
              .a2 = (sgms_real)coefficients[4]},
         .rate = (sgms_real)rate,
+        .step = (sgms_position)(SGMS_SINGLE ? step * 1e12 + 0.5 : step),
         .settle = settle,
         .wanted = wanted};
     sgms_position positions[2] = {0, 0};

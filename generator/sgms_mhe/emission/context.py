@@ -121,6 +121,7 @@ class SignalView:
         piece_time: of constant signals [s].
         mass: [kg]. max_velocity: [m/s].
         mass_in_model: it stands in the model's equations, and not in the signal chain alone.
+        position_step: of the encoder [m].
         settle: samples that a disturbance of the filters lasts.
         lowpass: (b0, b1, b2, a1, a2).
         slope_weights: of each of the merged samples in the slope of the line through them.
@@ -142,6 +143,7 @@ class SignalView:
     mass: float
     mass_in_model: bool
     max_velocity: float
+    position_step: float
     settle: int
     lowpass: tuple[float, ...]
     slope_weights: tuple[float, ...]
@@ -324,6 +326,7 @@ def _signals(structure: Structure) -> SignalView:
         mass=machine.plant.moved,
         mass_in_model=structure.model.reads_mass,
         max_velocity=sampling.max_velocity,
+        position_step=sampling.position_step,
         settle=settle_samples(machine),
         lowpass=lowpass_coefficients(machine),
         slope_weights=tuple(3.0 / (merged * merged - 1.0) * (2.0 * places + 1.0 - merged)) if merged > 1 else (),

@@ -143,8 +143,8 @@ def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Numb
     numbers = [_number("coulomb", found["coulomb"])]
     numbers += [_number(f"stiffness_{k}", found[f"stiffness_{k}"]) for k in range(1, count + 1)]
     numbers += [_number(f"fraction_{k}", found[f"fraction_{k}"], upper=1.0) for k in range(1, count + 1)]
-    softened = final.fit.levels / final.written.shape.distances
-    held = {f"stiffness_{k + 1}": float(softened[k]) for k in np.flatnonzero(final.stand_ins)}
+    stiffest = final.fit.levels / final.view.limits[0]
+    held = {f"stiffness_{k + 1}": float(stiffest[k]) for k in np.flatnonzero(final.unresolved)}
     numbers = [_number(n.name, NumberEstimate(held[n.name], math.inf)) if n.name in held else n for n in numbers]
     if "viscous" in found:
         numbers.append(_number("viscous", found["viscous"]))
@@ -304,11 +304,10 @@ def list_limits(
     travel, fit = view.rows.extents.travel, final.fit
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
         element = f"element {k} (breaks away after {distance:.2g} {length})"
-        if final.stand_ins[k - 1]:
-            held = float(final.written.shape.distances[k - 1])
+        if final.unresolved[k - 1]:
             said.append(
-                f"element {k} (breaks away within {held:.2g} {length}): no more than the log resolves; the file "
-                f"has the least stiff one that explains it, {level / held:.2g} {units.stiffness}"
+                f"element {k} (breaks away within {view.limits[0]:.2g} {length}): earlier than the log resolves; the "
+                f"file has the stiffest one that it does, {level / view.limits[0]:.2g} {units.stiffness}"
             )
         elif distance > SLID * travel:
             said.append(

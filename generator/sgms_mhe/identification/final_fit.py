@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -33,7 +32,6 @@ from sgms_mhe.identification.fits import (
     largest_noise_bias,
     noise_share,
     quantities,
-    soften_stand_ins,
 )
 from sgms_mhe.identification.plain import measure_unseen
 from sgms_mhe.identification.record_numbers import add_spread, fit_record_terms
@@ -119,16 +117,10 @@ class FinalIdentification:
     rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     beside_mass: tuple[str, ...] = ()
 
-    @cached_property
-    def written(self) -> AxisFit:
-        """The fit with elements as the file has them."""
-        known = [self.numbers[f"stiffness_{k + 1}"].relative <= UNSURE for k in range(len(self.fit.levels))]
-        return soften_stand_ins(self.view, self.fit, np.array(known))
-
     @property
-    def stand_ins(self) -> Mask:
-        """Elements (k) that the file has less stiff than the fit: the records do not tell how early they break away."""
-        return self.written.shape.distances > self.fit.shape.distances
+    def unresolved(self) -> Mask:
+        """Elements (k) that break away before the records tell that they do."""
+        return np.asarray(self.fit.shape.distances < self.view.limits[0])
 
 
 @dataclass(frozen=True)

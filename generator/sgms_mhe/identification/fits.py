@@ -44,12 +44,6 @@ WIDER: Final = 4.0
 """Beyond the grid's largest distance, as a factor, distances are not followed."""
 FINER: Final = 100.0
 """Below its smallest: that an element breaks away before an encoder sees it must not make it break away late."""
-COUNTS: Final = 3.5
-"""Times its smallest, about as many counts of an encoder: elements not known break away there at the latest."""
-HALVINGS: Final = 5
-"""Distances that are tried for them, each half of the one before."""
-LATENESS: Final = 0.08
-"""Of the level [-]: what a break-away that late may leave beyond what the fit does."""
 STRIBECK: Final = (1e-4, 5.0)
 """Stribeck velocities that a fit follows, over the fastest speed: beyond that, the intervals say what is open."""
 MOST_NOISE: Final = 0.5
@@ -360,25 +354,6 @@ def distance_limits(law: Law, rise: Stribeck | None, view: RecordView) -> tuple[
         *(least_distance(law, rise or NO_RISE, motion.rate / motion.steps) for motion in view.motions),
     )
     return low, max(low, high * WIDER)
-
-
-def soften_stand_ins(view: RecordView, fit: AxisFit, known: Mask) -> AxisFit:
-    """Return the fit whose elements that break away within a few counts, and are not known, do so as late as is free.
-
-    An encoder does not tell how early they do. One that breaks away within a count slips with every count that a
-    reading flickers by, at rest, which these records need not show; one that does later holds back at each reversal.
-    """
-    distances, earliest = fit.shape.distances, distance_limits(fit.shape.law, fit.shape.rise, view)[0]
-    unresolved = (distances < max(COUNTS * view.limits[0], earliest)) & ~(known & (distances > view.limits[0]))
-    if not unresolved.any():
-        return fit
-    softer = fit
-    for latest in COUNTS * view.limits[0] * 0.5 ** np.arange(HALVINGS):
-        held = np.where(unresolved, np.maximum(distances, max(latest, earliest)), distances)
-        softer = fit_axis(view, fit.terms, replace(fit.shape, distances=held), iterations=0)
-        if softer.rms**2 - fit.rms**2 <= (LATENESS * fit.coulomb) ** 2:
-            break
-    return softer
 
 
 def stribeck_limits(view: RecordView) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.configuration import make_machine, step_every_sample
+from sgms_mhe.configuration import make_machine, override_machine, step_every_sample
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification.description import (
     MISFIT,
@@ -56,8 +56,9 @@ from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.recordings.evidence import largest_force, noise_floor
 from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.recordings.recording import Recording
-from sgms_mhe.signals.chain import signals_of_record
+from sgms_mhe.signals.chain import readings, signals_of_record
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.noise import encoder_step
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import one_library_thread
@@ -403,7 +404,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, (*unexcited, *explored.unseen)))
     whole = views.fine.rows if records.whole is None else records.whole
-    floor = noise_floor(whole, fit.residual, largest_force(whole, encoder_forces(views.fine, final.written)))
+    floor = noise_floor(whole, fit.residual, largest_force(whole, encoder_forces(views.fine, fit)))
     limits = [
         *explored.said,
         *said,
@@ -413,8 +414,11 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     law = fit.shape.law
     path = Path(f"{wanted.name}.toml")
     report("weights")
-    draft = make_machine(machine_content(records.machine, law, numbers, None), path)
-    content = machine_content(records.machine, law, numbers, measurement_noise(draft, logs))
+    given_step = records.machine.sampling.position_step
+    step = given_step or max(float(f"{encoder_step(readings(log).position_m):.6g}") for log in logs)
+    base = override_machine(records.machine, {"sampling": {"position_step": step}})
+    draft = make_machine(machine_content(base, law, numbers, None), path)
+    content = machine_content(base, law, numbers, measurement_noise(draft, logs))
     # It says of the axis what no log does; while numbers were fitted, it would have been one of them.
     if wanted.like is not None and "disturbance" in wanted.like.content.get("estimator", {}):
         content["estimator"]["disturbance"] = wanted.like.content["estimator"]["disturbance"]

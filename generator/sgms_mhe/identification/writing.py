@@ -48,7 +48,8 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurem
         "fraction": _shares([by_name[f"fraction_{k}"].value for k in range(1, count + 1)]),
         **{name: value[name] for name in ("viscous", "coulomb", "stribeck_ratio", "stribeck_velocity")},
     }
-    sampling = {key: getattr(base.sampling, key) for key in ("rate", "update_rate", "velocity_cutoff", "max_velocity")}
+    kept = ("rate", "update_rate", "velocity_cutoff", "max_velocity", "position_step")
+    sampling = {key: getattr(base.sampling, key) for key in kept if getattr(base.sampling, key)}
     if law == "sgms":
         sampling["integrator"] = {"scheme": "flow"}
     estimated = [name for name in ESTIMATED if by_name[name].determined] or ["coulomb"]
@@ -130,6 +131,7 @@ def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
             unit = unit_of.get(number.name, "")
             notes[f"{table}.{units.named(number.name)}"] = f"{unit}: {said}" if unit else said
     notes["friction.stiffness"] = units.stiffness
+    notes["sampling.position_step"] = f"{units.position}, of the encoder: readings so near to the axis are no motion"
     notes["estimator.noise.measurement"] = (
         f"{units.force}, 1 sigma: what the model leaves of the logs, sample by sample"
     )

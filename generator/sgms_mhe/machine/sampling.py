@@ -94,6 +94,7 @@ class Sampling(MachineTable):
         "divides rate; default: the largest up to 2 velocity_cutoff",
     )
     velocity_cutoff: float = quantity("second-order low-pass; < rate / 2", "Hz", 500.0, gt=0)
+    position_step: float = quantity("encoder's step: a reading so near to the axis is no motion", "m, rad", 0.0, ge=0)
     max_velocity: float = quantity("speed up to which the estimate is right", "m/s, rad/s", 1.0, gt=0, le=1e3)
     integrator: Integrator = Field(Integrator(), description="integration scheme; default flow, one step per sample")
 

@@ -337,6 +337,7 @@ def build_model(machine: Machine, *, physical: bool = False) -> Model:
         symbols,
         state_as=noise.state_as,
         state_noise=noise.state,
+        position_noise=machine.sampling.position_step,
         initial_state=noise.initial_state,
     )
     axis.load = _sum_ahead(effects, axis, "load")

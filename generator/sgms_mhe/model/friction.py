@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -90,17 +91,22 @@ def declare_elements(
     *,
     state_as: str,
     state_noise: float,
+    position_noise: float,
     initial_state: float,
 ) -> None:
-    """Declare the states of the n_z elements, so that effects may refer to them before their rates are known."""
+    """Declare the states of the n_z elements, so that effects may refer to them before their rates are known.
+
+    An axis may move by `position_noise` [m] that no reading shows: elements that slide do not notice, others follow.
+    """
     for i, (nu, fraction) in enumerate(zip(nominal_fraction, symbols.fraction, strict=True)):
+        per_metre = nominal_stiffness[i] / (nu * axis.coulomb)
         state = axis.add_state(
             StateSpec(
                 name=f"z_{i + 1}",
                 element=i,
-                rate_per_metre=nominal_stiffness[i] / (nu * axis.coulomb),
+                rate_per_metre=per_metre,
                 rate_per_second=0.0,
-                noise=state_noise,
+                noise=math.hypot(state_noise, per_metre * position_noise),
                 initial_state=initial_state,
             )
         )

@@ -116,7 +116,9 @@ class Chain:
         log = readings(log)
         missing = _missing(log)
         force = self._hold("force", log.force_N)
-        position, delayed_position, difference, self._place = _continue(log.position_m, self._settle, self._place)
+        position, delayed_position, difference, self._place = _continue(
+            log.position_m, self._settle, self._machine.sampling.position_step, self._place
+        )
         since = self._samples_since(missing)
         self._taken += len(log)
 
@@ -349,43 +351,32 @@ class _Place:
     gap: int
 
 
-def _continue(position: Array, settle: int, place: _Place | None) -> tuple[Array, Array, Array, _Place]:
-    """Position with its missing samples continued by the last raw difference.
+def _continue(position: Array, settle: int, step: float, place: _Place | None) -> tuple[Array, Array, Array, _Place]:
+    """Position of the axis: where it was as long as readings are within `step` of that [m].
 
-    `place` is the last sample of the piece before, where there was one.
+    Its missing samples continue the last raw difference. `place` is the last sample of the piece before, where there
+    was one.
 
     Returns the position at k, the position one sample earlier as the chain sees it at k, and their difference [m]; and
     the last sample. They are stated apart because after a gap of more than `settle` samples the earlier position is
     replaced by the new one: the difference restarts at zero, what was travelled unseen does not appear as a velocity.
     """
-    known = 0 if place is None else 1
-    good = np.concatenate((np.ones(known, dtype=np.bool_), np.isfinite(position)))
-    raw = position if place is None else np.concatenate(([place.position], position))
-    filled = np.where(good, raw, np.nan)  # not inf: its differences would warn
-    first = int(np.argmax(good))
-    if good.any():
-        filled[:first] = raw[first]
-    else:
-        filled[:] = 0.0
-    earlier = _delay(filled, filled[0])
-    difference = filled - earlier
-    if place is not None:
-        difference[0] = place.difference
-        if place.gap > settle and good[1]:
-            earlier[1], difference[1] = filled[1], 0.0
-    if not good.all() and good.any():
-        edges = np.flatnonzero(np.diff(good[first:].astype(np.int8)))
-        starts, ends = edges[::2] + 1 + first, edges[1::2] + 1 + first
-        for start, end in zip(starts, [*ends, len(good)], strict=False):
-            difference[start:end] = difference[start - 1]
-            # accumulate adds in order, as a controller does sample by sample
-            filled[start:end] = np.add.accumulate(np.r_[filled[start - 1], difference[start:end]])[1:]
-            earlier[start + 1 : end] = filled[start : end - 1]
-            if end < len(good):
-                length = end - start + (place.gap if place is not None and start == 1 else 0)
-                earlier[end] = filled[end - 1] if length <= settle else filled[end]
-                difference[end] = filled[end] - earlier[end]
-    gap = int(np.argmax(good[::-1])) if good.any() else len(good)
-    gap += place.gap if place is not None and gap == len(position) else 0
-    last = _Place(float(filled[-1]), float(difference[-1]), gap)
-    return filled[known:], earlier[known:], difference[known:], last
+    good = np.isfinite(position)
+    last = place or _Place(float(position[np.argmax(good)]) if good.any() else 0.0, 0.0, 0)
+    if step == 0.0 and last.gap == 0 and good.all():
+        earlier = _delay(position, last.position)
+        difference = position - earlier
+        return position, earlier, difference, _Place(float(position[-1]), float(difference[-1]), 0)
+    now, moved, gap = last.position, last.difference, last.gap
+    rows = np.empty((len(position), 3))
+    for k, reading in enumerate(position.tolist()):
+        before = now
+        if good[k]:
+            now = min(max(before, reading - step), reading + step)
+            before = now if gap > settle else before
+            moved, gap = now - before, 0
+        else:  # as a controller does, sample by sample
+            now, gap = before + moved, gap + 1
+        rows[k] = now, before, moved
+    filled, earlier, difference = rows.T.copy()
+    return filled, earlier, difference, _Place(now, moved, gap)
