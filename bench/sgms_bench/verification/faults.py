@@ -77,14 +77,14 @@ FAULTS: Final = (
     Fault(
         "measurements valid while filters settle",
         "sgms_filter.h",
-        "        m->counts[2] = sgms_place(m->counts[2], chain->settle - 1) + 1;\n",
-        "        m->counts[2] = sgms_place(m->counts[2], chain->settle - 1) + 1;\n        valid = 1;\n",
+        "m->counts[1] == 0 && m->counts[2] >= chain->settle",
+        "m->counts[1] == 0",
     ),
     Fault(
         "measurements valid in a gap",
         "sgms_filter.h",
-        "        m->counts[2] = 0;\n    } else if",
-        "        m->counts[2] = 0;\n        valid = 1;\n    } else if",
+        "        out.valid = 0;\n",
+        "        out.valid = m->counts[2] >= chain->settle;\n",
     ),
     Fault(
         "sign of the inertial force",

@@ -42,7 +42,6 @@ GAPS: Final[tuple[Gap, ...]] = (
     Gap("NAME_save", r"attempt < 3|version % 2u == 0u|NAME_OVERLAP|~checksum_of", OVERLAPS),
     Gap("start_with", r"is_plausible\(end\)", NO_NUMBER),
     Gap("update", r"all_finite\(&friction|return start_again", NO_NUMBER),
-    Gap("sgms_filter_disturbed", r"counts\[0\] != 3|counts\[2\] < chain->settle|valid = 1", GUARD),
     Gap("sgms_exp", r"SGMS_EXP_HIGHEST", GUARD),
     Gap("start_sweep|workload_of", r"self->linearisation\.slot < SLOTS", DAMAGED),
     Gap(
