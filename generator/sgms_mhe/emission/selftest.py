@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.emission.compensation import compensation_of
 from sgms_mhe.emission.selftest_motion import CountedMotion, selftest_motion
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, UpdateStatus, Weights, run_ekf, run_mhe
 from sgms_mhe.signals.chain import (
@@ -39,6 +40,8 @@ _BOUND = 0.03
 """Bounds of the second run, about nominal."""
 _OTHER = 0.25
 """Settings of the second run grow by that part from one state, and one parameter, to the next."""
+_SET_PART = 0.25
+"""Set-point of the second run over the largest speed; its acceleration takes the Coulomb level. Every other is slow."""
 _SUBSTEPS = 100
 """Runge-Kutta steps of each move of the force ahead."""
 
@@ -81,6 +84,8 @@ class Vectors:
         other: growth of the second run's settings from one state, and one parameter, to the next.
         span: intervals in which the signal chain settles and an update comes after that.
         velocity: at which the force of the model at rest is far beyond its limit [m/s]; 0: at none.
+        set_velocity: set-points after odd and after even updates of the second run by sample() [m/s].
+        set_acceleration: with them [m/s^2].
         first: with the machine file's settings.
         second: with other noise everywhere and all parameters within `bound` of nominal; by sample() and insert().
     """
@@ -92,6 +97,8 @@ class Vectors:
     other: float
     span: int
     velocity: float
+    set_velocity: tuple[float, float]
+    set_acceleration: float
     first: ReferenceRun
     second: ReferenceRun
 
@@ -137,8 +144,9 @@ def selftest_vectors(model: Model) -> Vectors:
         ones = np.ones(model.n_p)
         other = replace(other, lower=(1.0 - _BOUND) * ones, upper=(1.0 + _BOUND) * ones)
     second = _run(model, signals.part(slice(0, end)), integrator, other)
+    ahead = _set_velocities(machine), machine.friction.coulomb / machine.plant.moved
     tick, sample, insert = (
-        _force_ahead(model, *of, signals, log.position_m, later, lags)
+        _force_ahead(model, *of, signals, log.position_m, later, lags, ahead if of is second and lags else None)
         for of, later, lags in ((first, 0, True), (second, 1, True), (second, 1, False))
     )
     return Vectors(
@@ -149,9 +157,17 @@ def selftest_vectors(model: Model) -> Vectors:
         other=_OTHER,
         span=_least_updates(model) - 1,
         velocity=_velocity_beyond_limit(model),
+        set_velocity=ahead[0],
+        set_acceleration=ahead[1],
         first=_rounded(first[0], tick),
         second=_rounded(second[0], sample, insert),
     )
+
+
+def _set_velocities(machine: Machine) -> tuple[float, float]:
+    """Velocities to come: sliding, and, where there is one, within the gate that slow motion opens [m/s]."""
+    fast, of = _SET_PART * machine.sampling.max_velocity, compensation_of(machine)
+    return fast, max(0.5 * of.ahead.gate_velocity if of.ahead else 0.01 * fast, 2.0 * of.hold)
 
 
 def _velocity_beyond_limit(model: Model) -> float:
@@ -230,6 +246,7 @@ def _force_ahead(
     position_m: Array,
     later: int,
     lags: bool,
+    set_point: tuple[tuple[float, float], float] | None,
 ) -> Array:
     """Return the force fed forward after each update (u) [N]: the model, moved on over the chain's lag and the delay.
 
@@ -243,6 +260,7 @@ def _force_ahead(
         position_m: of all samples, as recorded.
         later: samples after the update, 0 or 1.
         lags: through the machine's own chain, whose lag is made up for.
+        set_point: velocities to come, after odd and even updates, and acceleration [m/s, m/s^2]; None: none is set.
     """
     machine, ahead = model.machine, compensation_of(model.machine)
     step, samples = machine.sampling.step, machine.sampling.samples_per_update
@@ -255,11 +273,15 @@ def _force_ahead(
     mean = lag_m / ahead.lag
     over = later * step
     w[[0, 4]] -= np.array([measured * over, over * np.ones(len(nodes))])
-    w[2], w[5:] = 0.0, 0.0
+    w[2] = w[5:] = set_point[1] if set_point else 0.0
     moves = [(measured * over, over), (lag_m, ahead.lag)] if lags else [(measured * over, over)]
     if machine.sampling.merged > 1:  # samples that are in no step yet and the lag are one move
         moves = [(sum(distance for distance, _ in moves), sum(duration for _, duration in moves))]
-    moves.append(((measured + (mean - measured) * ahead.over_delay) * ahead.delay, ahead.delay))
+    over_delay, at_end = (
+        np.resize(set_point[0], len(nodes)) if set_point else measured + (mean - measured) * part
+        for part in (ahead.over_delay, ahead.at_end)
+    )
+    moves.append((over_delay * ahead.delay, ahead.delay))
     chi = np.array(model.function("from_node").map(record.updates)(x, theta))
     for distance, duration in moves:
         if duration > 0.0:
@@ -267,7 +289,7 @@ def _force_ahead(
             w[1] = distance / duration
             w[4] += duration
             chi = _move_states(model, chi, w, theta, duration)
-    w[1] = measured + (mean - measured) * ahead.at_end
+    w[1] = at_end
     output = ca.Function("f", [model.chi, model.w, model.theta], [model.feed_forward]).map(record.updates)
     force = np.array(output(chi, w, theta)).reshape(record.updates)
     force = force * np.minimum(1.0, (nodes + 1) * ahead.gain_step)
