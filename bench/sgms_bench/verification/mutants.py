@@ -165,9 +165,12 @@ def _depend(one: str, two: str) -> bool:
     """Return True if it may matter which of two statements comes first."""
     targets = [re.match(r"(?P<written>[\w\->.\[\]*() +]+?) (?P<by>\S?)= ", statement) for statement in (one, two)]
     if targets[0] and targets[1] and targets[0]["written"] == targets[1]["written"]:
-        return not (targets[0]["by"] == targets[1]["by"] != "" or "&&" in one)
+        terms = [re.match(r"(\w+) = (\w+\(\1, )", statement) for statement in (one, two)]  # sums by a call
+        is_one_sum = terms[0] and terms[1] and terms[0][0] == terms[1][0]
+        return not (targets[0]["by"] == targets[1]["by"] != "" or "&&" in one or is_one_sum)
     for target, own, other in zip(targets, (one, two), (two, one), strict=True):
-        written = [target["written"]] if target else re.findall(r"[a-z]\w*(?:(?:->|\.)\w+)+", own)
+        words = re.findall(r"[a-z]\w*(?:(?:->|\.)\w+)+", own)
+        written = [target["written"]] if target else words[: 1 if own.startswith(("copy(", "fill(")) else None]
         if any(re.search(rf"(?<!\w){re.escape(word)}(?!\w)", other) for word in written):
             return True
     return False

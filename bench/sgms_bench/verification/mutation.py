@@ -33,7 +33,8 @@ SECONDS: Final = 20
 """Of the processor, of one run: one that does not come back is noticed by a watchdog."""
 REPLAYED: Final = 300
 """Updates of the log that is replayed."""
-CHECKED: Final = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+CHECKED: Final = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-ftrivial-auto-var-init=pattern")
+"""Accesses, and locals that have no value: they hold a number that no axis can have."""
 FLAGS: Final = ("-std=c99", "-O1", "-ffp-contract=off", "-w")
 
 
@@ -167,7 +168,7 @@ class Campaign:
         self._digest = self._exercise(self._good, good)
         self._estimates = self._replay(self._good, good)
         found = self._self_test(self._good, good), self._digest, self._estimates
-        if any(of.code != 0 for of in found):
+        if any(of.code != 0 for of in found) or not self.is_within_objects(package.files):
             raise ValueError(f"the package fails: {[of.output[:300] for of in found]}")
 
     def judge(self, files: Mapping[str, str]) -> Verdict:

@@ -21,6 +21,7 @@ PADDING: Final = "lanes of a vector that hold copies where one interval is integ
 SUM: Final = "another sum of bits that tells as much of them"
 FINITE: Final = "a derivative is finite where the number itself is"
 IN_USE: Final = "parameters in use are those of the last estimate, but for the end of an update"
+REFUSED: Final = "a status that refuses is a small negative number, which has the bit of each flag too"
 UNREAD: Final = "a signal that no effect of this package reads"
 
 SURVIVORS: Final[tuple[Gap, ...]] = (
@@ -48,7 +49,12 @@ SURVIVORS: Final[tuple[Gap, ...]] = (
     Gap(r"sgms_box_least_squares", r"size \+= |SGMS_ROUNDING", ROUNDING),
     Gap(r"sgms_box_least_squares", r"step = |iteration|c = free_count - 1", PATH),
     Gap(r"sgms_filter_step", r"m->counts\[[01]\] == [03] &&", SHORT),
-    Gap(r"sgms_filter_disturbed", r"valid = 1", SHORT),
+    Gap(r"sgms_box_least_squares", r"active == 0", SHORT),
+    Gap(r"sgms_box_least_squares", r"^x\[i\] \+= step .*-> x\[i\] = x\[i\] < lower", ROUNDING),
+    Gap(r"GROUP_flow_tile", r"any_slow != 0", SHORT),
+    Gap(r"sgms_qr_grow", r"by == .*-> \(0\)$", SHORT),
+    Gap(r"is_unsound", r"status < 0 .*: status -> \w+$", REFUSED),
+    Gap(r"start_sweep", r"sweep\.back == 0.*: back -> cursor$", EQUAL),
     Gap(r"GROUP_step|GROUP_take_kinds", r"any_more|is_cut = 1", SHORT),
     Gap(r"GROUP_runge_kutta_line", r"substeps == 1", SHORT),
     Gap(r"NAME_save|NAME_estimate", r"attempt", OTHER_TASK),
