@@ -73,13 +73,11 @@ def test_faults_are_noticed(require_tool: Tool, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(mutation, "specimens", lambda: map(specimen, ("ekf", "switching")))
     by_hand, *of_classes = check_self_test(36, 7, lambda _: None)
     assert by_hand.failures == () and by_hand.tried.startswith(f"{len(FAULTS)} faults, {len(FAULTS)} noticed")
-    # Not noticed by any judge: of operators a few in a hundred; of statements 8 of 105 drawn, and what chance adds.
-    for (at_random, together), most in ((of_classes[:2], 4), (of_classes[2:], 8)):
+    # Not noticed by any judge: a few in a hundred, and what chance adds.
+    for at_random, together in (of_classes[:2], of_classes[2:]):
         counted, noticed = map(int, re.findall(r"(\d+) (?:mutants|noticed)", at_random.tried))
         assert noticed > 0.8 * counted - 2.0 * math.sqrt(0.8 * 0.2 * counted), at_random.failures
-        assert (
-            re.match(rf"{counted} mutants that are not equivalent, ", together.tried) and len(together.failures) <= most
-        )
+        assert re.match(rf"{counted} mutants that are not equivalent, ", together.tried) and len(together.failures) <= 4
 
 
 @pytest.mark.slow

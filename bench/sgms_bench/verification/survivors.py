@@ -21,6 +21,7 @@ PADDING: Final = "lanes of a vector that hold copies where one interval is integ
 SUM: Final = "another sum of bits that tells as much of them"
 FINITE: Final = "a derivative is finite where the number itself is"
 IN_USE: Final = "parameters in use are those of the last estimate, but for the end of an update"
+HEALED: Final = "zeros that are there, and put back once memory has been damaged"
 REFUSED: Final = "a status that refuses is a small negative number, which has the bit of each flag too"
 UNREAD: Final = "a signal that no effect of this package reads"
 
@@ -51,6 +52,7 @@ SURVIVORS: Final[tuple[Gap, ...]] = (
     Gap(r"sgms_filter_step", r"m->counts\[[01]\] == [03] &&", SHORT),
     Gap(r"sgms_box_least_squares", r"active == 0", SHORT),
     Gap(r"sgms_box_least_squares", r"^x\[i\] \+= step .*-> x\[i\] = x\[i\] < lower", ROUNDING),
+    Gap(r"restore_factor", r"fill\(factor", HEALED),
     Gap(r"GROUP_flow_tile", r"any_slow != 0", SHORT),
     Gap(r"sgms_qr_grow", r"by == .*-> \(0\)$", SHORT),
     Gap(r"is_unsound", r"status < 0 .*: status -> \w+$", REFUSED),
