@@ -84,7 +84,7 @@ FAULTS: Final = (
         "measurements valid in a gap",
         "sgms_filter.h",
         "        out.valid = 0;\n",
-        "        out.valid = m->counts[2] >= chain->settle;\n",
+        "        out.valid = m->counts[0] == 3 && m->counts[2] == 0;\n",
     ),
     Fault(
         "sign of the inertial force",
