@@ -7,6 +7,8 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +20,11 @@ import sgms_mhe
 from cli_cases import SMALL, done, refused
 from export_cases import BASES, FORMS, SUFFIX, machine_of_effect, machine_with
 from package_variants import EFFECTS, GEARED
-from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.configuration import load_machine, make_machine, override_machine
 from sgms_mhe.emission.axis_equations import axis_model
 from sgms_mhe.emission.axis_forms import axis_numbers
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.support.errors import InputError
 
 # --- numbers as text ---------------------------------------------------------------------------------------------
@@ -157,6 +160,9 @@ def test_the_error_along_a_log(form: str, recorded: Path, tmp_path: Path) -> Non
         return
     error = found["error"]
     assert f"{error['rms_N']:.6g} N rms" in printed and error["samples"] > 3000
+    for force in error["forces"]:
+        share = f"{100.0 * force['relative']:.3g} % of it, "
+        assert f"lost along {log}: {force['name']}, {force['lost_rms_N']:.4g} N rms, {share}" in printed
     if form == "modelica":
         # a gain of the logged force alone: (g - 1) of all of it, of which the model's friction is a part
         assert 0.0 < error["relative"] < 0.5
@@ -184,6 +190,53 @@ def test_the_error_is_small_where_little_is_lost() -> None:
         assert relative[0] < 0.12 and relative[1] > 1.8 * relative[0]
 
 
+EFFECTS_LOST: dict[str, dict[str, float]] = {
+    "force_ripple": {"amplitude_N": 0.6, "pitch_m": 0.004, "phase_rad": 0.7},
+    "position_spring": {"stiffness_N_m": 60.0, "centre_m": 0.002},
+    "quadratic_drag": {"coefficient_N_s2_m2": 30.0},
+    "mass_mismatch": {"mass_kg": 1.5},
+    "force_delay": {"delay_s": 4e-5},
+}
+WRITTEN_APART: dict[str, Callable[[Signals], Any]] = {
+    "force_ripple": lambda s: 0.6 * np.sin(2.0 * np.pi * s.position / 0.004 + 0.7),
+    "position_spring": lambda s: 60.0 * (s.position - 0.002),
+    "quadratic_drag": lambda s: 30.0 * s.velocity * np.abs(s.velocity),
+}
+OF_LAW = {"Stribeck effect", "micro-viscous damping"}
+LOST = {
+    "mujoco": {"force_ripple", "quadratic_drag", "force_delay", "presliding and rest", *OF_LAW},
+    "urdf": {"force_ripple", "position_spring", "quadratic_drag", "force_delay", "presliding and rest", *OF_LAW},
+    "modelica": {"force_delay"},
+    "simscape": {"force_delay"},
+}
+"""Forces that a form does not hold, by form; of those that are not named here every one is held."""
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("law", [{}, {"stribeck_ratio": 0.0, "micro_viscous": [0.0, 0.0]}])
+def test_each_force_that_a_form_loses_is_stated_by_itself(form: str, law: dict[str, Any]) -> None:
+    """One sum was given of all; a whole mass was said to be lost."""
+    effects = [{"name": name, **numbers} for name, numbers in EFFECTS_LOST.items()]
+    friction = {"stribeck_ratio": 0.2, "stribeck_velocity": 0.002, "micro_viscous": [8.0, 0.0], **law}
+    changes = {"effects": effects, "friction": friction, "sampling": {"integrator": {"scheme": "flow", "substeps": 5}}}
+    machine = override_machine(make_machine(tomllib.loads(SMALL), Path("small.toml")), changes)
+    motion = make_trajectory("mixed", machine.sampling.rate, duration_s=4.0, max_velocity=0.3)
+    log = sgms_mhe.simulate(machine, motion).log
+    error = sgms_mhe.export(machine, form, log=log).error
+    forces = {force.name: force for force in error.forces} if error is not None else {}
+    assert set(forces) == LOST.get(form, set()) - (OF_LAW if law else set())
+    if error is None:
+        return
+    signals = signals_from_log(log, machine)
+    for name in set(forces) & set(WRITTEN_APART):
+        true = float(np.sqrt(np.mean(WRITTEN_APART[name](signals)[signals.valid] ** 2)))
+        assert forces[name].relative == pytest.approx(1.0, rel=1e-9)
+        assert forces[name].lost == pytest.approx(true, rel=1e-3)  # later by the delay, to first order
+    losses = [force.lost for force in error.forces]
+    assert losses == sorted(losses, reverse=True) and error.rms < 1.001 * sum(losses)
+    assert form not in ("mujoco", "urdf") or 0.05 < (forces["presliding and rest"].relative or 0.0) < 1.0
+
+
 def test_rotary_names_are_those_of_the_axis(tmp_path: Path) -> None:
     run = sgms_mhe.simulate("etel_xy_rotary", duration_s=2.0)
     run.log.to_frame().to_csv(tmp_path / "log.csv", index=False)
@@ -198,7 +251,7 @@ def test_rotary_names_are_those_of_the_axis(tmp_path: Path) -> None:
         tmp_path / "log.csv",
         "--json",
     )
-    assert set(json.loads(done_.stdout)["error"]) == {"samples", "rms_Nm", "relative"}
+    assert set(json.loads(done_.stdout)["error"]) == {"samples", "rms_Nm", "relative", "forces"}
 
 
 @pytest.mark.parametrize(

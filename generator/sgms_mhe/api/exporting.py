@@ -37,7 +37,7 @@ class ExportedAxis(Shown):
         form: name of the form.
         content: of the file; `text` where it is no archive.
         holds, lost: sentences on what of the axis is in it, and what is not.
-        error: that the form makes along a log; None without a log, or where nothing of the plant is lost.
+        error: that the form makes along a log, with each force that is lost; None without a log, or where none is.
         missing: why an FMU has no binary; None where it has one, or needs none.
     """
 
@@ -101,10 +101,7 @@ def export(
     names_model = is_file and to in TEXT_FORMS and to != "csv"
     title = check_title(path.stem) if path is not None and names_model else f"{axis.name}_axis"
     written = form.write(axis, title)
-    error = None
-    if log is not None:
-        recorded = recorded_log(log, axis, note=note)
-        error = form_error(axis, to, written.simple, written.left_out, recorded)
+    error = None if log is None else form_error(axis, written, recorded_log(log, axis, note=note))
     if path is not None:
         with atomic_write(path) as stream:
             stream.write(written.content)

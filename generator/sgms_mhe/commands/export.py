@@ -28,14 +28,14 @@ from sgms_mhe.commands import common
     "--log",
     type=click.Path(path_type=Path),
     metavar="LOG",
-    help="Log along which the error of a simpler form is measured.",
+    help="Log along which the error of a simpler form, and each force that it loses, is measured.",
 )
 @common.json_option
 def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool) -> None:
     """Write MACHINE's axis, the plant that moves, for another simulator.
 
     Says what the form holds and what is lost. With --log also the error that a simpler form makes: its friction minus
-    that of MACHINE's own model along the motion in LOG.
+    that of MACHINE's own model along the motion in LOG, and the part of it that each lost force has.
     """
     from sgms_mhe.api import exporting
     from sgms_mhe.configuration import load_machine
@@ -50,7 +50,10 @@ def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool)
     if as_json:
         measured = None
         if error is not None:
-            measured = {"samples": error.rows, "rms_N": error.rms, "relative": error.relative}
+            forces = [
+                {"name": f.name, "lost_rms_N": f.lost, "rms_N": f.rms, "relative": f.relative} for f in error.forces
+            ]
+            measured = {"samples": error.rows, "rms_N": error.rms, "relative": error.relative, "forces": forces}
         result = {
             "machine": resolved.name,
             "form": form,
@@ -68,6 +71,12 @@ def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool)
             f"error: {error.rms:.6g} {units.force} rms, {100.0 * error.relative:.3g} % of the model's friction of "
             f"{error.model_rms:.6g} {units.force} rms, over {error.rows} samples"
         )
+        for force in error.forces:
+            lines.append(f"lost along {log}: {force.name}, {force.lost:.4g} {units.force} rms")
+            if force.relative is not None:
+                lines[-1] += f", {100.0 * force.relative:.3g} % of it"
+            if error.model_rms > 0.0:
+                lines[-1] += f", {100.0 * force.lost / error.model_rms:.3g} % of the friction"
     elif log is not None:
-        lines.append("error: none, the form holds all that moves the axis")
+        lines.append("error: none, no force of the axis is left out")
     common.show("\n".join(lines), out)

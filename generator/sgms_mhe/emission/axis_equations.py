@@ -123,10 +123,11 @@ def axis_model(machine: Machine) -> AxisModel:
     return AxisModel(build_model(replace(continuous, effects=kept), physical=True), measured)
 
 
-def place_force(machine: Machine, effect: ResolvedEffect) -> tuple[float, float, float, float] | None:
-    """Return an effect's force as (c, k, s, b) of c + k q + s sin q + b cos q; None where it is anything else.
+def plain_force(machine: Machine, effect: ResolvedEffect) -> tuple[float, float, float, float] | None:
+    """Return an effect's force as (c, k, s, b) of c + k q + s sin q + b cos q + m a; None where it is anything else.
 
-    Sines are of a joint that turns. It is told by the force itself at drawn motions, with the effect and without.
+    Sines are of a joint that turns. It is told by the force itself at drawn motions, with the effect and without. The
+    inertia m is in `AxisModel.inertia`.
     """
     definition = effect_definition(effect.name)
     if definition.stage != "force" or definition.states:
@@ -137,20 +138,20 @@ def place_force(machine: Machine, effect: ResolvedEffect) -> tuple[float, float,
         nominal = [parameter.nominal for parameter in model.parameters]
         outputs.append((ca.Function("force", [model.chi, model.w, model.theta], [model.output]), nominal))
     random = np.random.default_rng(1)
-    q, found = 3.0 * random.standard_normal(40), []
-    for place in q:
-        chi, w = random.uniform(-0.5, 0.5, machine.friction.n_z), random.standard_normal(5)
-        w[0] = place
-        with_effect, without = (float(force(chi, w, nominal)) for force, nominal in outputs)
+    w, found = random.standard_normal((40, 5)), []
+    w[:, 0] *= 3.0
+    for signals in w:
+        chi = random.uniform(-0.5, 0.5, machine.friction.n_z)
+        with_effect, without = (float(force(chi, signals, nominal)) for force, nominal in outputs)
         found.append(with_effect - without)
-    turns = machine.plant.kind == "rotary"
-    columns = np.column_stack([np.ones(len(q)), q, *((np.sin(q), np.cos(q)) if turns else ())])
+    q, turns = w[:, 0], machine.plant.kind == "rotary"
+    columns = np.column_stack([w[:, 2], np.ones(len(q)), q, *((np.sin(q), np.cos(q)) if turns else ())])
     sizes, *_ = np.linalg.lstsq(columns, found, rcond=None)
     least = 1e-9 * max(np.abs(found).max(), machine.friction.coulomb)  # rounding
     if np.abs(columns @ sizes - found).max() > least:
         return None
     sizes[np.abs(sizes) < least] = 0.0
-    c, k, s, b = (*map(float, sizes), 0.0, 0.0)[:4]
+    c, k, s, b = (*map(float, sizes[1:]), 0.0, 0.0)[:4]
     return c, k, s, b
 
 

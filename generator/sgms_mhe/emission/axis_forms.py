@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.emission.axis_equations import MODELICA, SIMSCAPE, Language, axis_model, place_force, print_equations
+from sgms_mhe.emission.axis_equations import MODELICA, SIMSCAPE, Language, axis_model, plain_force, print_equations
 from sgms_mhe.emission.rendering import dot_unit, render_text
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES
@@ -52,6 +52,8 @@ class AxisNumber:
         return dot_unit(self.unit)
 
 
+STRIBECK: Final = "Stribeck effect"
+MICRO_VISCOUS: Final = "micro-viscous damping"
 _TEXTS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "stiffness": "stiffness of element {}",
@@ -106,7 +108,7 @@ class WrittenAxis:
         holds: sentences on what of the axis is in it.
         lost: sentences on what is not.
         simple: its friction, where that is Coulomb and viscous alone.
-        left_out: labels of effects that belong to the measurement and are not in it.
+        left_out: labels of effects, and parts of the law beside presliding, that are not in it.
         missing: why an archive has no binary; None where it has one, or needs none.
     """
 
@@ -153,26 +155,27 @@ def _write_numbers(machine: Machine, title: str, form: str, template: str) -> Wr
 def _write_simple(machine: Machine, title: str, form: str, template: str, level: str) -> WrittenAxis:
     """Inertia, Coulomb and viscous friction."""
     units, friction = machine.plant.units, machine.friction
-    held = {effect.label: place_force(machine, effect) for effect in machine.effects}
+    held = {effect.label: plain_force(machine, effect) for effect in machine.effects}
     if form == "urdf":  # a mass off the axis, and no spring or offset
         held = {label: sizes if sizes and not any(sizes[:2]) else None for label, sizes in held.items()}
-    places = [sizes for sizes in held.values() if sizes is not None]
-    sums = [sum(column) for column in zip(*places, strict=True)]
+    sums = [sum(column) for column in zip((0.0,) * 4, *filter(None, held.values()), strict=True)]
     simple = SimpleAxis(axis_model(machine).inertia, friction.coulomb, friction.viscous, *sums)
     if simple.inertia <= 0.0:
         raise InputError(machine.source, units.inert, simple.inertia, "effects that leave a positive part of it")
     holds = [f"{units.inert} with what effects add to it, Coulomb level, viscous damping"]
-    if places:
-        inside = _labels(tuple(label for label, sizes in held.items() if sizes is not None))
-        holds.append(f"the effects {inside}: a mass off the axis, a spring, a constant {units.push}")
+    if inside := tuple(label for label, sizes in held.items() if sizes is not None):
+        holds.append(f"the effects {_labels(inside)}, whole: they go with position or acceleration alone")
     lost = [level, f"the {friction.n_z} Maxwell-slip elements: stiffness and hysteresis before break-away"]
+    if left_out := tuple(label for label, sizes in held.items() if sizes is None):
+        lost.append(f"the effects {_labels(left_out)}, but for what they add to the {units.inert}")
     if friction.stribeck_ratio != 0.0:
-        lost.append(f"the Stribeck effect, {100.0 * friction.stribeck_ratio:g} % of the level near standstill")
-    if len(places) < len(held):
-        labels = _labels(tuple(label for label, sizes in held.items() if sizes is None))
-        lost.append(f"the effects {labels}, but for what they add to the {units.inert}")
+        lost.append(f"the {STRIBECK}, {100.0 * friction.stribeck_ratio:g} % of the level near standstill")
+        left_out += (STRIBECK,)
+    if any(friction.micro_viscous):
+        lost.append(f"the {MICRO_VISCOUS} of the elements")
+        left_out += (MICRO_VISCOUS,)
     solver = {"reference": SOLVER_REFERENCE, "impedance": SOLVER_IMPEDANCE}
-    written = WrittenAxis(form, b"", tuple(holds), tuple(lost), simple)
+    written = WrittenAxis(form, b"", tuple(holds), tuple(lost), simple, left_out)
     return _render(machine, template, title, written, simple=simple, solver=solver, step=machine.sampling.step)
 
 
