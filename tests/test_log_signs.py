@@ -26,7 +26,11 @@ def register(log: Log, bits: int, counts: float, factor: float = 1.0) -> Array:
     return factor * np.mod(np.round(counts * log.force_N / np.abs(log.force_N).max()), 2.0**bits)
 
 
-REGISTERS = [(8, 10.0, 1.0), (8, 30.0, 0.001), (16, 12.0, 0.001), (16, 5000.0, 1.0), (32, 400.0, 1.0), (32, 3e7, 1.0)]
+REGISTERS = [
+    *((8, 10.0, 1.0), (8, 30.0, 0.001), (16, 12.0, 0.001), (16, 5000.0, 1.0), (16, 900.0, 0.0152587 / 7.0)),
+    *((32, 400.0, 1.0), (32, 3e7, 1.0)),
+    *((32, counts, factor) for counts in (400.0, 2e5, 3e7, 1e9) for factor in (2.0**-31, 0.001, 100.0 * 2.0**-31)),
+]
 
 
 @pytest.mark.parametrize(("bits", "counts", "factor"), REGISTERS)
@@ -47,7 +51,27 @@ def test_a_number_with_a_sign_that_was_recorded_without_is_said(
         assert read_log(path, table={**table, **line}).force_N == pytest.approx(
             times * true, abs=1e-6 * factor * counts
         )
-    assert read_log(path, table={"torque_Nm": {"wrap": 2.0**bits * factor}}).force_N == pytest.approx(true, rel=1e-6)
+    for keys in ({"wrap": 2.0**bits * factor}, {"signed": bits}):
+        assert read_log(path, table={"torque_Nm": keys}).force_N == pytest.approx(true, abs=1e-6 * factor * counts)
+
+
+@pytest.mark.parametrize("digits", [6, 9, 12])
+@pytest.mark.parametrize("factor", [2.0**-31, 0.001, 100.0 * 2.0**-31, 0.0152587 / 7.0])
+def test_a_scaled_register_with_few_digits_is_turned_rightly_or_not_at_all(
+    digits: int, factor: float, tmp_path: Path
+) -> None:
+    """Digits too few for the step between two numbers tell its range where they come close to it, or nothing."""
+    log = rotor(25)
+    for counts in (400.0, 2e5, 3e7, 1e9):
+        true = np.round(counts * log.force_N / np.abs(log.force_N).max()) * factor
+        values = [float(f"{value:.{digits}g}") for value in np.mod(true, 2.0**32 * factor)]
+        path = write(tmp_path / "log.csv", **{**own(log), "torque_Nm": np.array(values)})
+        try:
+            found = read_log(path, table={"torque_Nm": {"signed": 32}}).force_N
+        except InputError as error:
+            assert "wrap = 2^32 times the step" in str(error)
+        else:
+            assert found == pytest.approx(true, abs=2.0**32 * factor * 10.0 ** (1 - digits))
 
 
 @pytest.mark.parametrize(
@@ -58,6 +82,10 @@ def test_a_number_with_a_sign_that_was_recorded_without_is_said(
         lambda log: np.round(100.0 + 90.0 * log.force_N / np.abs(log.force_N).max()),  # about an offset
         lambda log: np.round(np.random.default_rng(1).uniform(0.0, 65535.0, len(log))),
         lambda log: np.round(60000.0 + 200.0 * np.sin(log.time_s)),
+        lambda log: (
+            200.0 * (log.force_N > 0.0) + np.random.default_rng(1).uniform(0.0, 1.0, len(log))
+        ),  # one way, noise
+        lambda log: 500.0 * (1.0 - 2.0**-9 * np.abs(log.force_N) / np.abs(log.force_N).max()) * (log.force_N > 0.0),
     ],
 )
 def test_what_has_no_sign_is_not_said_to_have_one(values: Callable[[Log], Array], tmp_path: Path) -> None:
@@ -68,7 +96,7 @@ def test_what_has_no_sign_is_not_said_to_have_one(values: Callable[[Log], Array]
 def test_a_range_is_that_of_the_recorded_number(tmp_path: Path) -> None:
     log = rotor(23)
     path = write(tmp_path / "log.csv", **{**own(log), "torque_Nm": register(log, 16, 500.0)})
-    for keys in ({"signed": 8}, {"wrap": 65.536}):
+    for keys in ({"signed": 8}, {"wrap": 65.536}):  # of scaled numbers below
         with pytest.raises(InputError, match="after which they start over"):
             read_log(path, table={"torque_Nm": keys})
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,13 +23,15 @@ _MANY: Final = 5.0
 _ONE: Final = 50.0
 """The same of a single jump, which has to be one of PERIODS."""
 _LARGEST: Final = 1e15
-"""A recorded number at or beyond it is no position, and its digits tell no period."""
+"""A recorded number at or beyond it is none of an encoder or a register, and its digits tell no period."""
 _LEAST: Final = 100
 """Samples that tell whether a column jumps."""
 REGISTERS: Final = (8, 12, 16, 24, 32)
 """Bits of registers."""
-_WHOLE: Final = 1e-3
+_WHOLE: Final = 0.02
 """Of a step between two values: how far all of them are from whole numbers of it."""
+_EXACT: Final = 2.0**53
+"""Largest count that a number holds to the last one."""
 _LEFT: Final = 0.1
 """Share of the jumps of an unsigned record that the signed numbers may have."""
 _CUT: Final = 0.01
@@ -77,9 +80,9 @@ def si_values(
     names = {source.column for source in sources}
     raw = table.read(sorted(names | {table.clocks[name] for name in names if name in table.clocks}))
     for source in sources:
-        if source.wrap is None and source.signed is None and source.quantity.role not in ("time", "temperature"):
-            check = _check_jumps if source.quantity.role == "position" else _check_signed
-            check(path, source, _vector(path, source, raw[source.column]), table.row)
+        if source.quantity.role == "position" and source.wrap is None and source.signed is None:
+            _check_jumps(path, source, _vector(path, source, raw[source.column]), table.row)
+    sources = check_signs(path, sources, raw, table.row)
     columns = si_piece(path, table, sources, raw, turns_of(sources))
     if table.clocks and "time_s" in columns:
         columns = align_clocks(path, columns, _clocks(path, table, sources, raw), note)
@@ -219,32 +222,103 @@ def _centre(values: Array, period: float) -> Array:
     return np.mod(values + 0.5 * period, period) - 0.5 * period
 
 
-def _check_signed(path: Path, source: Source, values: Array, row: Callable[[int], str]) -> None:
-    """Refuse a number with a sign that was recorded without: it jumps by the range of its register where it turns."""
+def check_signs(
+    path: Path, sources: tuple[Source, ...], raw: Mapping[str, NDArray[Any]], row: Callable[[int], str]
+) -> tuple[Source, ...]:
+    """The sources, with the period of each register whose numbers are scaled.
+
+    Args:
+        path: for messages.
+        sources: of a log, or of its last samples.
+        raw: values by their names in the table.
+        row: name of a sample.
+
+    Raises:
+        InputError: a number with a sign that was recorded without, of which [log] says nothing: it jumps by the range
+            of its register where it turns. Or a scaled number that is said to be one and does not show its period.
+    """
+    return tuple(_check_sign(path, source, _vector(path, source, raw[source.column]), row) for source in sources)
+
+
+def _check_sign(path: Path, source: Source, values: Array, row: Callable[[int], str]) -> Source:
+    """The source as `check_signs` has it."""
+    if source.wrap is not None or source.quantity.role in ("time", "temperature", "position"):
+        return source
     good = np.flatnonzero(np.isfinite(values))
     known = values[good]
+    is_whole = bool(np.all(known == np.rint(known)))
+    if source.signed is not None and is_whole:
+        return source
+    bits, period = _find_register(known)
+    if source.signed is not None:
+        if not 0 < bits <= source.signed:
+            allowed = (
+                f"whole numbers, or jumps by the range of {source.signed} bits; of scaled numbers [log] (machine file, "
+                f"--log) says it in their unit: wrap = 2^{source.signed} times the step between two of them"
+            )
+            raise InputError(path, f"column {source.column}, signed", source.signed, allowed)
+        return replace(source, signed=None, wrap=period)
+    if bits:
+        jumps = np.flatnonzero(np.abs(np.diff(known)) > 0.5 * period)
+        more = {"signed": bits} if period == 2.0**bits else {"wrap": period}
+        seen = f"jumps by {known[jumps[0] + 1] - known[jumps[0]]:.6g}, {len(jumps)} such jumps"
+        allowed = (
+            f"a number with its sign; an unsigned record of a signed number of {bits} bits, as this one seems, "
+            f"[log] (machine file, --log) turns back: {log_line(source.quantity.column, **source.keys, **more)}"
+        )
+        raise InputError(path, f"{row(int(good[jumps[0] + 1]))}, column {source.column}", seen, allowed)
+    return source
+
+
+def _find_register(known: Array) -> tuple[int, float]:
+    """(bits, period) of the register with a sign that a record (n) without one shows; (0, 0) where it shows none."""
+    if len(known) < _LEAST or known.min() < 0.0 or not 1.0 / _LARGEST < known.max() < _LARGEST:
+        return 0, 0.0
+    steps = np.abs(np.diff(known))
+    if steps.max() <= 0.5 * known.max():
+        return 0, 0.0
     levels = np.unique(known)
-    if len(known) < _LEAST or len(levels) < 4 or levels[0] < 0.0:
-        return
-    is_whole = np.abs(levels - np.rint(levels)).max() < _WHOLE
-    least = 1.0 if is_whole else float(np.diff(levels).min())
-    counts = np.rint(known / least)
-    bits = next((bits for bits in REGISTERS if counts.max() < 2.0**bits), 0)
-    turned = _centre(counts, 2.0**bits)
-    jumps = np.flatnonzero(np.abs(np.diff(counts)) > 0.5 * 2.0**bits)
-    left = np.count_nonzero(np.abs(np.diff(turned)) > 0.25 * 2.0**bits)
-    # Both signs have several values: on and off would have one each, the ends of the range.
-    fewest = min(len(np.unique(turned[sign * turned > 0.0])) for sign in (1, -1))
-    is_counted = bits > 0 and np.abs(known / least - counts).max() < _WHOLE
-    if not is_counted or not len(jumps) or left > _LEFT * len(jumps) or fewest < 2:
-        return
-    more = {"signed": bits} if is_whole else {"wrap": 2.0**bits * least}
-    seen = f"jumps by {known[jumps[0] + 1] - known[jumps[0]]:.6g}, {len(jumps)} such jumps"
-    allowed = (
-        f"a number with its sign; an unsigned record of a signed number of {bits} bits, as this one seems, "
-        f"[log] (machine file, --log) turns back: {log_line(source.quantity.column, **source.keys, **more)}"
-    )
-    raise InputError(path, f"{row(int(good[jumps[0] + 1]))}, column {source.column}", seen, allowed)
+    for bits, period in _registers(levels) if len(levels) >= 4 else ():
+        turned = _centre(known, period)
+        jumps = np.count_nonzero(steps > 0.5 * period)
+        left = np.count_nonzero(np.abs(np.diff(turned)) > 0.25 * period)
+        # Both signs have several values: on and off would have one each, the ends of the range.
+        fewest = min(len(np.unique(turned[sign * turned > 0.0])) for sign in (1, -1))
+        if jumps and left <= _LEFT * jumps and fewest >= 2:
+            return bits, period
+    return 0, 0.0
+
+
+def _registers(levels: Array) -> Iterator[tuple[int, float]]:
+    """(bits, period) of registers that may hold sorted numbers from 0 on: by the step between them, or a round range.
+
+    Scaled numbers with too few digits to show the step show the range where they come as close to it as to 0.
+    """
+    top, least = float(levels[-1]), float(np.diff(levels).min())
+
+    def is_on(step: float) -> bool:
+        return least > 0.5 * step and bool(np.abs(levels / step - np.rint(levels / step)).max() < _WHOLE)
+
+    for step in _steps(levels):
+        bits = next((bits for bits in REGISTERS if top < 2.0**bits * step), 0)
+        if bits and is_on(step):
+            yield bits, 2.0**bits * step
+    decade = 10.0 ** np.floor(np.log10(top))
+    for period in (2.0 ** (np.floor(np.log2(top)) + 1.0), 2.0 * decade, 10.0 * decade):
+        if top < period <= 2.0 * top and period - top <= levels[min(len(levels), 10) - 1]:
+            yield next((bits for bits in REGISTERS if is_on(period / 2.0**bits)), REGISTERS[-1]), float(period)
+
+
+def _steps(levels: Array) -> Iterator[float]:
+    """Steps of which sorted numbers (n) may be multiples: 1, by decimal or binary places, the least difference."""
+    yield 1.0
+    for base, most in ((10.0, 9), (2.0, 52)):
+        for places in range(1, most + 1):
+            counts = levels * base**places
+            if counts[-1] < _EXACT and np.abs(counts - np.rint(counts)).max() < 1e-3:
+                yield float(np.gcd.reduce(np.rint(counts).astype(np.int64)) / base**places)
+                break
+    yield float(np.diff(levels).min())
 
 
 def _round_number(value: float, tolerance: float) -> float:
