@@ -209,6 +209,37 @@ def test_all_before_a_row_that_is_none_is_kept(garbage: str, message: str, at: l
         assert sum(map(len, taken)) == 200
 
 
+@pytest.mark.parametrize("factor", [1.0, 0.001, 2.0**-31])
+def test_a_number_without_its_sign_is_refused_as_in_a_whole_log(factor: float, tmp_path: Path) -> None:
+    """It was followed as a force of four thousand million."""
+    true = np.round(5000.0 * np.sin(np.arange(4000) / 300.0 + 0.1)) * factor
+    recorded = np.mod(true, 2.0**32 * factor).tolist()
+    content = rows(4000, lambda k: f"{k * 1e-3:.3f};{0.001 * k};{recorded[k]!r}")
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as whole:
+        read_log(path, machine())
+    counts = set()
+    for at in ((), (700,), range(1, len(content), 997), range(1, len(content), 20000)):
+        follower, taken = FollowedText(path, machine()), 0
+        with pytest.raises(InputError) as caught:
+            for piece in pieces(content, at):
+                for log in follower.feed(piece):
+                    taken += len(log)
+        said, wanted = (re.sub(r", \d+ such jumps", "", str(error.value)) for error in (caught, whole))
+        assert said == wanted and "signed number of 32 bits" in said
+        counts.add(taken)
+    assert len(counts) == 1 and 900 < counts.pop() < 2500
+    for keys in ({"signed": 32}, {"wrap": 2.0**32 * factor}):
+        reader = override_machine(machine(), {"log": {"force_N": keys}})
+        try:
+            found = joined(list(followed(pieces(content, range(1, len(content), 997)), reader)))["force_N"]
+        except InputError as error:  # its first rows do not tell the period of a scaled one
+            assert factor != 1.0 and "signed" in keys and "wrap = 2^32 times the step" in str(error)
+        else:
+            np.testing.assert_allclose(found, true, atol=1e-9 * 5000.0 * factor)
+
+
 def test_a_line_without_its_end_is_no_sample_until_it_is_whole() -> None:
     content = rows(100, lambda k: f"{k * 1e-3:.3f};{k};{k * 0.5}").rstrip(b"\n")
     cut = content[:-1]  # 49.5 would read as 49.

@@ -28,7 +28,7 @@ from sgms_mhe.logfiles.dialect import (
     told_in,
 )
 from sgms_mhe.logfiles.encoding import Decoder, check_text
-from sgms_mhe.logfiles.quantities import Turns, si_piece, turns_of
+from sgms_mhe.logfiles.quantities import Turns, check_signs, si_piece, turns_of
 from sgms_mhe.logfiles.reading import LogContent, fields_of_log, log_of
 from sgms_mhe.logfiles.sources import choose_sources
 from sgms_mhe.logfiles.table import Array, Table
@@ -46,6 +46,10 @@ MOST_LINES: Final = 4096
 """Lines in which samples have to be found."""
 LONGEST_LINE: Final = 1_000_000
 """Characters; a text without line ends is none that grows."""
+RECENT: Final = 5_000
+"""Last samples in which a number that was recorded without its sign is looked for."""
+LOOKS: Final = (100, 1000)
+"""Samples between two such looks: in the first thousand, and after it."""
 Row = tuple[int, str]
 """A line with its number, from 1."""
 
@@ -165,6 +169,8 @@ class _Told:
         decimal: the mark; `sure`: a row told it; `pointed`: one had a point that told nothing.
         time: of the last sample (1,) [s], empty before the first.
         samples: how many there were.
+        recent: the last of them as they were recorded, by column.
+        lines: numbers of their lines.
     """
 
     cells: Cells
@@ -174,6 +180,8 @@ class _Told:
     pointed: bool
     time: Array
     samples: int
+    recent: Mapping[str, Array]
+    lines: NDArray[np.int64]
 
 
 class _Rows:
@@ -213,10 +221,12 @@ class _Rows:
         stated = hints is not None and hints.decimal is not None
         sure = stated or (dialect.separator == "," and not any('"' in line for line in lines))
         sure = sure or any(told_in(line, dialect.separator)[0] is not None for line in lines)
-        told = _Told(
-            cells, turns_of(self._sources), dialect.decimal, sure, any("." in line for line in lines), np.empty(0), 0
-        )
-        columns = self._si(told, self._table.read(self._names))
+        pointed, turns = any("." in line for line in lines), turns_of(self._sources)
+        told = _Told(cells, turns, dialect.decimal, sure, pointed, np.empty(0), 0, {}, np.empty(0, np.int64))
+        raw = self._table.read(self._names)
+        self._sources = check_signs(path, self._sources, raw, dialect.row)
+        self._check_signs(told, raw, [number for number, _ in dialect.rows])
+        columns = self._si(told, raw)
         for role in ("position", "force"):
             own = next(quantity.column for quantity in QUANTITIES[kind] if quantity.role == role)
             if own not in columns:
@@ -270,6 +280,7 @@ class _Rows:
                 return {}
             raw = told.cells.read(self._piece(told, rows), self._names, ahead=False)
         piece = self._piece(told, rows)
+        self._check_signs(told, raw, [number for number, _ in rows])
         columns = self._si(told, raw)
         before = len(told.time)
         time = np.concatenate((told.time, columns["time_s"]))
@@ -281,6 +292,26 @@ class _Rows:
         check_steps(self._path, time, self._step, row)
         told.time, told.samples = time[-1:], told.samples + len(rows)
         return columns
+
+    def _check_signs(self, told: _Told, raw: Mapping[str, NDArray[Any]], lines: Sequence[int]) -> None:
+        """Refuse a number that was recorded without its sign, as the reader of whole logs does."""
+        ends = range(told.samples + 1, told.samples + len(lines) + 1)
+        told.lines = np.concatenate((told.lines, lines))
+        told.recent = {name: np.concatenate((told.recent.get(name, raw[name][:0]), raw[name])) for name in self._names}
+        before = ends.stop - 1 - len(told.lines)
+        for end in ends:
+            if end % LOOKS[end > LOOKS[1]]:
+                continue
+            first = max(before, end - RECENT)
+
+            def row(index: int, first: int = first) -> str:
+                number = ((int(told.lines[first - before + index]), ""),)
+                return replace(self._dialect, rows=number, first=first + index).row(0)
+
+            part = slice(first - before, end - before)
+            check_signs(self._path, self._sources, {name: told.recent[name][part] for name in self._names}, row)
+        told.lines = told.lines[-RECENT:]
+        told.recent = {name: values[-RECENT:] for name, values in told.recent.items()}
 
     def _si(self, told: _Told, raw: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
         columns = si_piece(self._path, self._table, self._sources, raw, told.turns)
