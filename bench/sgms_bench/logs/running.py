@@ -170,7 +170,7 @@ class Trial:
             return
         if problems:
             raise WrongError("wrong", f"refused: {problems}")
-        self._read(case.options)
+        (self._read if case.on_machine else self._compare)(case.options)
 
     def _is_of_the_format(self, sentence: str) -> bool:
         """Return True for a note on the layout of the file, which has it."""
@@ -187,13 +187,16 @@ class Trial:
             raise WrongError("false", f"{pattern} is the reason, not {text}")
 
     def _read(self, options: Sequence[str]) -> None:
-        """Compare what is read with what was recorded."""
-        options = self._locate(options)
-        answer = self._invoke("inspect", self.log, *options, "--json")
+        """Inspect the log with options, which must read it."""
+        answer = self._invoke("inspect", self.log, *self._locate(options), "--json")
         if answer.code:
             raise WrongError("wrong", f"with {' '.join(options)}: {answer.stdout[-600:]}{answer.stderr}")
-        found, case = read_log(self.log, table=self._table(options), note=lambda _: None), self.case
-        for problem in differences(found, case.expected, case.tolerance):
+        self._compare(options)
+
+    def _compare(self, options: Sequence[str]) -> None:
+        """Compare what is read with what was recorded."""
+        found = read_log(self.log, table=self._table(self._locate(options)), note=lambda _: None)
+        for problem in differences(found, self.case.expected, self.case.tolerance):
             raise WrongError("wrong", problem)
 
     def _table(self, options: Sequence[str]) -> dict[str, Any]:
