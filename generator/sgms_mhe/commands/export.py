@@ -48,20 +48,9 @@ def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool)
         common.note(f"{out}: sources without a binary: {exported.missing}")
     units, error = resolved.plant.units, exported.error
     if as_json:
-        measured = None
-        if error is not None:
-            forces = [
-                {"name": f.name, "lost_rms_N": f.lost, "rms_N": f.rms, "relative": f.relative} for f in error.forces
-            ]
-            measured = {"samples": error.rows, "rms_N": error.rms, "relative": error.relative, "forces": forces}
-        result = {
-            "machine": resolved.name,
-            "form": form,
-            "file": str(out),
-            "holds": exported.holds,
-            "lost": exported.lost,
-            "error": measured,
-        }
+        measured = None if error is None else error.content
+        sentences = {"holds": exported.holds, "lost": exported.lost}
+        result = {"machine": resolved.name, "form": form, "file": str(out), **sentences, "error": measured}
         common.show(common.json_text(units.keyed(result)), out)
         return
     lines = [f"{out}: {form} of {resolved.name}", *(f"holds: {sentence}" for sentence in exported.holds)]

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.evaluation.tuning import Tuned
 from sgms_mhe.machine import OF_KIND
 from sgms_mhe.model import FreeParameter
 from sgms_mhe.model.effects import base_number
+from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, REFUSED, has_measurement, select_flags
 from sgms_mhe.support.files import atomic_write
@@ -133,16 +133,10 @@ def _draw_status(axis: Any, estimates: Estimates) -> None:
     step = float(np.median(np.diff(estimates.time_s))) if len(estimates) > 1 else 1.0
     names = [*FLAGS, REFUSED]
     for row, (name, mask) in enumerate(select_flags(estimates.status).items()):
-        spans = [(estimates.time_s[a] - step, (b - a) * step) for a, b in _runs(mask)]
+        spans = [(estimates.time_s[a] - step, (b - a) * step) for a, b in find_runs(mask)]
         axis.broken_barh(spans, (row - 0.4, 0.8), color="#cc0000" if name == REFUSED else "0.35")
     axis.set_yticks(range(len(names)), names, fontsize="x-small")
     axis.set_ylim(len(names) - 0.5, -0.5)
     axis.set_ylabel("status")
     axis.grid(axis="y", color="0.92")
     axis.set_axisbelow(True)
-
-
-def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """(first, after the last) of every run of true entries."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -14,6 +14,7 @@ from scipy.signal import decimate
 from sgms_mhe.configuration import step_every_sample
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import OF_KIND, Kind, Machine
+from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.signals.logs import Log, align_velocity
@@ -130,10 +131,9 @@ def force_error(
     since = prediction.time_s - prediction.time_s[0]
     difference = prediction.friction_measured_N - prediction.friction_N
     counted = np.isfinite(difference) & (since >= start_s) & (since <= end_s)
-    edges = np.flatnonzero(np.diff(counted.astype(np.int8), prepend=0, append=0))
     columns = np.column_stack((difference, prediction.friction_measured_N, prediction.force_N))
     least = 1 if factor == 1 else _FILTER_LENGTH * factor
-    stretches = [columns[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+    stretches = [columns[a:b] for a, b in find_runs(counted) if b - a >= least]
     if not stretches:
         raise InputError(
             prediction.source,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,12 @@ class FormError:
     def relative(self) -> float:
         """RMS of the difference over RMS of the model's friction; NaN where that is 0."""
         return self.rms / self.model_rms if self.model_rms > 0.0 else float("nan")
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The error as `--json` has it."""
+        forces = [{"name": f.name, "lost_rms_N": f.lost, "rms_N": f.rms, "relative": f.relative} for f in self.forces]
+        return {"samples": self.rows, "rms_N": self.rms, "relative": self.relative, "forces": forces}
 
 
 def form_error(machine: Machine, written: WrittenAxis, log: Log) -> FormError | None:

@@ -13,6 +13,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Measure
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.chain import Signals
 
 MOVING_WAY: Final = 0.1
@@ -54,7 +55,7 @@ def measure_excitation(signals: Signals, machine: Machine) -> dict[Measure, floa
     moving = np.abs(mean) > MOVING_WAY * scales.least_deflection / MOVING_TIME
     speed = np.abs(velocity[moving])
     direction = np.sign(mean[moving])
-    rests = np.sort(_runs(~moving))[::-1] / rate
+    rests = np.sort([end - start for start, end in find_runs(~moving)])[::-1] / rate
     slow, fast = np.percentile(speed, [25.0, 95.0]) if len(speed) else (0.0, 0.0)
     longest = float(rests[0]) if len(rests) else 0.0
     return {
@@ -73,12 +74,6 @@ def measure_excitation(signals: Signals, machine: Machine) -> dict[Measure, floa
         "standstill_ratio": longest / float(rests[min(4, len(rests) - 1)]) if longest > 0.0 else 0.0,
         "moving_s": float(np.count_nonzero(moving)) / rate,
     }
-
-
-def _runs(mask: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Lengths of the runs of true entries."""
-    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
-    return np.asarray(edges[1::2] - edges[::2], dtype=np.int64)
 
 
 @lru_cache(maxsize=8)

@@ -17,7 +17,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.path import bridge_gaps, misread_paths, reading_error, smooth_path
-from sgms_mhe.recordings.series import row_means
+from sgms_mhe.recordings.series import find_runs, row_means
 from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
 from sgms_mhe.signals.logs import Log, align_velocity
 from sgms_mhe.signals.noise import encoder_step, position_noise
@@ -338,9 +338,9 @@ def _find_usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tu
         warnings.append(f"{gaps} of {n} samples are missing; they and {settle} samples after each gap are left out")
     saturated = _find_saturated(log.force_N)
     if saturated.any():
-        near = _dilate(saturated, settle)
         warnings.append(f"the {units.push} is saturated in {int(saturated.sum())} of {n} samples; they are left out")
-        good &= ~near
+        for start, end in find_runs(saturated):
+            good[start : end - 1 + settle] = False
     fast = np.abs(signals.velocity) > machine.sampling.max_velocity
     if fast.any():
         warnings.append(
@@ -411,30 +411,14 @@ def _find_saturated(force: Array) -> Mask:
 
     A force that is at either for most of the record switches between them: it moves the axis as any other does.
     """
-    finite = np.isfinite(force)
-    mask = np.zeros(len(force), dtype=np.bool_)
-    if not finite.any():
+    finite, mask = force[np.isfinite(force)], np.zeros(len(force), dtype=np.bool_)
+    if not len(finite) or np.ptp(finite) == 0.0:
         return mask
-    low, high = float(np.min(force[finite])), float(np.max(force[finite]))
-    if high - low <= 0.0:
-        return mask
-    for edge in (low, high):
-        at = force == edge
-        starts = np.flatnonzero(np.diff(np.concatenate(([False], at)).astype(np.int8)) == 1)
-        ends = np.flatnonzero(np.diff(np.concatenate((at, [False])).astype(np.int8)) == -1) + 1
-        for start, end in zip(starts, ends, strict=True):
+    for edge in (finite.min(), finite.max()):
+        for start, end in find_runs(force == edge):
             if end - start >= SATURATED_RUN:
                 mask[start:end] = True
     return mask & (np.count_nonzero(mask) <= SWITCHING * len(mask))
-
-
-def _dilate(mask: Mask, samples: int) -> Mask:
-    """The mask and as many samples after each of its entries."""
-    total = np.cumsum(mask)
-    earlier = np.concatenate(
-        (np.zeros(min(samples, len(mask)), dtype=total.dtype), total[: max(0, len(mask) - samples)])
-    )
-    return np.asarray((total - earlier > 0) | mask)
 
 
 def _find_remembered(signals: Signals, machine: Machine, good: Mask) -> Mask:

@@ -26,6 +26,12 @@ def row_means(series: Array, factor: int) -> Array:
     return np.asarray(np.einsum("ij...->i...", rows) / factor)
 
 
+def find_runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(first, after the last) of every run of true entries (n)."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
 def bin_sums(series: Array, weight: Array, index: NDArray[np.int64], count: int) -> Array:
     """Sums over the rows of each bin of weight (m) times series (m, k): (count, k); `index`: each row's bin (m).
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.evaluation.plots import WIDTH_IN, blank_figure
+from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.ranking import NAMED, ranked_scores
-from sgms_mhe.report.series import View, runs
+from sgms_mhe.report.series import View
 from sgms_mhe.report.units import axis_units
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def measured_figure(diagnosis: Diagnosis) -> Figure:
             t.time_s, shown(t.held_out_fit_N), color=AFTER, linewidth=0.9, linestyle="--", label="simulated, extended"
         )
         bottom.plot(t.time_s, shown(t.residual_after), color=AFTER, linewidth=0.6)
-    kept = [(t.time_s[a], t.time_s[b - 1] - t.time_s[a]) for a, b in runs(t.held_out)]
+    kept = [(t.time_s[a], t.time_s[b - 1] - t.time_s[a]) for a, b in find_runs(t.held_out)]
     for axis in (top, bottom):
         axis.margins(x=0)
         axis.broken_barh(kept, (0.0, 1.0), transform=axis.get_xaxis_transform(), color=HELD_OUT, linewidth=0, zorder=0)

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis import Diagnosis, Traces
+from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.report.rivals import InPlace
-from sgms_mhe.report.series import View, numbers, pack, runs
+from sgms_mhe.report.series import View, numbers, pack
 from sgms_mhe.report.units import axis_units
 from sgms_mhe.signals.logs import Log
 
@@ -90,7 +91,7 @@ def _rival(rival: InPlace, t: Traces, common: Mapping[str, Any]) -> dict[str, An
 def _over_time(t: Traces) -> dict[str, Any]:
     step = 1.0 / t.rate
     return uniform(float(t.time_s[0]) if len(t.time_s) else 0.0, step) | {
-        "shaded": [(float(t.time_s[a]), float(t.time_s[b - 1]) + step) for a, b in runs(t.held_out)]
+        "shaded": [(float(t.time_s[a]), float(t.time_s[b - 1]) + step) for a, b in find_runs(t.held_out)]
     }
 
 

@@ -146,12 +146,6 @@ def numbers(values: Array) -> list[float | None]:
     return [float(f"{v:.5g}") if math.isfinite(v) else None for v in values.tolist()]
 
 
-def runs(mask: Mask) -> list[tuple[int, int]]:
-    """(first, after the last) of every run of true entries."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
 def _scale_unit(unit: str, x: Array) -> tuple[float, str]:
     """Factor and unit in which the largest value reads well."""
     largest = float(np.max(np.abs(x))) if len(x) else 0.0

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sgms_mhe import __version__
 from sgms_mhe.evaluation.watching import WORDS, RunSummary, flags_of, status_words
+from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.report.pieces import tile
 from sgms_mhe.report.plots import line, uniform
-from sgms_mhe.report.series import runs
 from sgms_mhe.report.units import axis_units, force, plain, quantity, scaled_unit, split_name
 from sgms_mhe.report.words import base_words, capital, relative_change
 from sgms_mhe.support.numbers import SIGMAS
@@ -127,7 +127,8 @@ def watch_plots(course: RunSummary) -> dict[str, Any]:
         "yLog": True,
         "series": [line("test ratio", ratio, "before", 1.2)],
         "shaded": [
-            (whole["start"] + step * (a - 1), whole["start"] + step * (b - 1)) for a, b in runs(points[:, -1] > 0.0)
+            (whole["start"] + step * (a - 1), whole["start"] + step * (b - 1))
+            for a, b in find_runs(points[:, -1] > 0.0)
         ],
         "shadedName": "in doubt",
     }
