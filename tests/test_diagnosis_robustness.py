@@ -28,7 +28,7 @@ from sgms_mhe.diagnosis.models import CompiledFit, FitError, make_model
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.result import Cause, Rms
-from sgms_mhe.diagnosis.rivals import Contest, Selection
+from sgms_mhe.diagnosis.rivals import Contest, Selection, find_rivals
 from sgms_mhe.diagnosis.selection import Searched, select_causes
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.host.compiled import CompiledModel
@@ -526,6 +526,21 @@ def test_a_known_fit_stands_where_none_can_begin(slow: Machine, rippled: Log, mo
     assert fit_chosen(laws, extras, criteria, known=known) == (laws, known)
     with pytest.raises(FitError):
         fit_chosen(laws, extras, criteria)
+
+
+def test_a_cause_without_which_no_model_is_finite_has_no_rivals(
+    slow: Machine, rippled: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A diagnosis ended there, of an arm's joint whose elements are far from its file's."""
+    subject = make_laws(slow, prepare(slow, rippled), 0.05).chosen
+    fit = fit_model(subject, (CandidateEffect("force_ripple", RIPPLE),))
+
+    def refuse(*_: object, **__: object) -> None:
+        raise FitError("not finite")
+
+    monkeypatch.setattr("sgms_mhe.diagnosis.fits.fit_model", refuse)
+    criteria: Any = None
+    assert find_rivals(subject, fit, (), (), criteria, 1) == Contest(None, (), {})
 
 
 def test_an_effect_without_a_finite_model_is_left_out_and_said_to_be(

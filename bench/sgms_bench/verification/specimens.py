@@ -48,8 +48,13 @@ SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
             {"name": "backlash", "gap_m": 2e-5},
         ],
     ),
-    "levels": {"effects": [AGEING, {"name": "frictional_lag", "time_constant_s": 0.01}], **COMPENSATED},
+    "levels": {
+        "sampling": {"position_step": 5e-9},
+        "effects": [AGEING, {"name": "frictional_lag", "time_constant_s": 0.01}],
+        **COMPENSATED,
+    },
     "signals": {
+        "sampling": {"position_step": 5e-9},
         "effects": [
             {"name": "force_ripple", "amplitude_N": 0.6, "pitch_m": 0.004},
             {"name": "mass_mismatch", "mass_kg": 1.5},

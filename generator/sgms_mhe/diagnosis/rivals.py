@@ -26,7 +26,7 @@ from sgms_mhe.diagnosis.criteria import (
     make_effect,
     rank_proposals,
 )
-from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, try_fit
+from sgms_mhe.diagnosis.fits import Fit, Subject, try_fit
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup, drop_effect, drop_group, machine_groups
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Score
@@ -164,11 +164,10 @@ def _place(
     seen: Collection[str],
     criteria: Criteria,
 ) -> _RivalPlace | None:
-    """The place of a cause and who might take it; None where it explains nothing."""
+    """The place of a cause and who might take it; None where it explains nothing, or no model is finite without it."""
     effects, base = drop_effect(fit.effects, group), drop_group(refitted, group)
-    without = fit_model(subject, effects, refitted=base, warm=fit)
-    gain = gain_force(without.cross, fit.cross, fit.rows)
-    if gain <= 0.0:
+    without = try_fit(subject, effects, refitted=base, warm=fit)
+    if without is None or (gain := gain_force(without.cross, fit.cross, fit.rows)) <= 0.0:
         return None
     found = (*_effects(subject, without, group.cause, seen, criteria), *_machine_numbers(subject, without, refitted))
     ranked = tuple(sorted(found, key=lambda r: -r.gain))
