@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from click.testing import CliRunner, Result
+from numpy.typing import NDArray
 
 from sgms_mhe.cli import cli
 
@@ -87,3 +89,10 @@ def on_terminal(*arguments: str | Path, **variables: str) -> str:
     os.close(ours)
     assert process.returncode == 0, written
     return written.decode()
+
+
+def read_columns(path: Path) -> dict[str, NDArray[np.float64]]:
+    """Columns (n,) of a file that a command wrote, by name."""
+    with path.open() as stream:
+        names = stream.readline().rstrip("\n").split(",")
+        return dict(zip(names, np.loadtxt(stream, delimiter=",", ndmin=2).T, strict=True))

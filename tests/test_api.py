@@ -20,11 +20,10 @@ import pandas as pd
 import pytest
 
 import sgms_mhe
-from cli_cases import SMALL, done
+from cli_cases import SMALL, done, read_columns
 from diagnosis_cases import explained
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.machine import Machine
-from sgms_mhe.signals.columns import read_columns
 from sgms_mhe.signals.logs import COLUMNS, Log
 from sgms_mhe.support.errors import ImplausibleError, InputError
 from sgms_mhe.support.notebooks import Presentation, Shown

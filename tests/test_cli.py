@@ -19,13 +19,11 @@ import pytest
 
 import sgms_mhe
 import sgms_mhe.cli
-from cli_cases import SMALL, done, files, refused, run
+from cli_cases import SMALL, done, files, read_columns, refused, run
 from sgms_mhe.cli import COMMANDS, WORKBENCH, cli, command_names
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.logfiles.reading import read_log
-from sgms_mhe.signals.columns import read_columns
-from sgms_mhe.signals.estimates import read_estimates
 
 
 @pytest.fixture(scope="session")
@@ -295,14 +293,13 @@ def test_predict_takes_machines_that_merge_samples(small: Path, log: Path, tmp_p
 def test_estimate_finds_the_stiffness(small: Path, log: Path, tmp_path: Path, solver: str) -> None:
     out = tmp_path / "e.csv"
     summary = json.loads(done("estimate", small, log, "--out", out, "--solver", solver, "--json").stdout)
-    estimates = read_estimates(out)
-    assert estimates.parameter_names == ("stiffness_1", "stiffness_2", "coulomb")
-    assert len(estimates) == summary["updates"] == (5000 - 1) // 20
-    truth = 1.2 * np.array([3e4, 1e4, 4.0 / 1.2])
-    assert np.all(np.abs(estimates.parameters[-1] - truth) < 3 * estimates.std[-1])
+    estimates = read_columns(out)
+    assert len(estimates["time_s"]) == summary["updates"] == (5000 - 1) // 20
+    for name, truth in (("stiffness_1", 3.6e4), ("stiffness_2", 1.2e4), ("coulomb", 4.0)):
+        assert abs(estimates[name][-1] - truth) < 3 * estimates[f"std_{name}"][-1]
     assert summary["residual_rms_N"] < 0.1
     assert summary["status"]["good"] > 100
-    assert summary["parameters"]["coulomb"]["estimate"] == estimates.parameters[-1, 2]
+    assert summary["parameters"]["coulomb"]["estimate"] == estimates["coulomb"][-1]
 
 
 @pytest.mark.parametrize("solver", ["c", "smoother"])
@@ -322,7 +319,9 @@ def test_c_and_reference_say_the_same(small: Path, log: Path, tmp_path: Path) ->
     done("estimate", small, log, "--out", ours)
     done("estimate", small, log, "--out", theirs, "--solver", "reference")
     # One has its signal chain in C, the other in Python.
-    np.testing.assert_allclose(read_estimates(ours).parameters, read_estimates(theirs).parameters, rtol=1e-7)
+    ours_read, theirs_read = map(read_columns, (ours, theirs))
+    for name in ("stiffness_1", "stiffness_2", "coulomb"):
+        np.testing.assert_allclose(ours_read[name], theirs_read[name], rtol=1e-7)
 
 
 def test_columns_that_a_log_brings_are_used(small: Path, log: Path, tmp_path: Path) -> None:
@@ -331,7 +330,7 @@ def test_columns_that_a_log_brings_are_used(small: Path, log: Path, tmp_path: Pa
     # A friction that is 1 N throughout: nothing of position and force can have led to it.
     bringing.write_text("\n".join([lines[0] + ",friction_N", *(line + ",1.0" for line in lines[1:])]))
     done("estimate", small, bringing, "--out", tmp_path / "e.csv")
-    assert np.all(np.abs(read_estimates(tmp_path / "e.csv").friction_measured_N[5:] - 1.0) < 1e-6)
+    assert np.all(np.abs(read_columns(tmp_path / "e.csv")["friction_measured_N"][5:] - 1.0) < 1e-6)
 
 
 def test_estimate_draws(small: Path, log: Path, tmp_path: Path) -> None:
@@ -344,11 +343,12 @@ def test_estimate_draws(small: Path, log: Path, tmp_path: Path) -> None:
 def test_single_missing_samples_pass_with_status_missing(small: Path, log: Path, tmp_path: Path) -> None:
     holes = changed(log, tmp_path, lambda lines: with_field(2001, 2, "nan")(with_field(1001, 1, "")(lines)))
     summary = json.loads(done("estimate", small, holes, "--out", tmp_path / "e.csv", "--json").stdout)
-    status = read_estimates(tmp_path / "e.csv").status
+    estimates = read_columns(tmp_path / "e.csv")
+    status = estimates["status"].astype(np.int64)
     # Rows 1001 and 2001 are the nodes of updates 50 and 100.
     assert status[49] & 2 and status[99] & 2
     assert summary["status"]["missing"] == np.count_nonzero(status & 2) < 10
-    assert np.all(np.isfinite(read_estimates(tmp_path / "e.csv").parameters))
+    assert np.all(np.isfinite([estimates[name] for name in ("stiffness_1", "stiffness_2", "coulomb")]))
 
 
 def test_estimates_may_go_to_a_pipe(small: Path, log: Path) -> None:
@@ -364,9 +364,8 @@ def test_emps_record(measured_data: Callable[[str], Path], tmp_path: Path) -> No
     out = tmp_path / "e.csv"
     result = done("estimate", "emps", measured_data("emps/DATA_EMPS.mat"), "--out", out, "--plot", tmp_path, "--json")
     summary = json.loads(result.stdout)
-    estimates = read_estimates(out)
-    settled = estimates.time_s > 4.0
-    coulomb, viscous = estimates.parameters[settled].T
+    estimates = read_columns(out)
+    coulomb, viscous = (estimates[name][estimates["time_s"] > 4.0] for name in ("coulomb", "viscous"))
     assert summary["residual_rms_N"] < 2.5  # the published inverse model leaves 3 to 4 % of 60 N
     assert np.all(np.abs(coulomb / 20.3935 - 1.0) < 0.15)
     # The published fit by direction has 166.71 and 240.42 N s/m: the estimate swings between, lap by lap.

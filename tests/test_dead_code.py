@@ -24,12 +24,8 @@ USED_FROM_OUTSIDE = {
     "get_command": "click",
     "filter_stream": "jinja2",
     "emit": "logging",
-    "read_estimates": "Python code of users, for the files that estimate writes",
-    "cascade": "Python code of users, as a controller of the simulated axis",
     "_repr_html_": "notebooks",
     "to_frame": "Python code of users, for series as a DataFrame",
-    "ideal_log": "Python code of users, as a log of the simulated axis",
-    "sinusoidal_drift": "Python code of users, as a drift of the simulated axis",
     "plant_effects": "the test that model and plant know the same effects",
     "forget_distributions": "tests that install distributions",
 }

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import diagnosis_cases
-from cli_cases import SCRIPT, SMALL, done, files, refused, run
+from cli_cases import SCRIPT, SMALL, done, files, read_columns, refused, run
 from dask_cluster import Cluster
 from sgms_mhe.api.fleet import Done, Fleet, run_fleet
 from sgms_mhe.api.fleet.bands import LEVEL, NumberSeries, courses
@@ -28,7 +28,6 @@ from sgms_mhe.api.fleet.writing import results_json, write_fleet
 from sgms_mhe.commands.fleet import _text as fleet_text
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis.result import Standing
-from sgms_mhe.signals.estimates import read_estimates
 from sgms_mhe.support.processes import HERE, WorkerSlot
 
 
@@ -150,11 +149,15 @@ def test_every_row_once_failures_listed_and_nothing_done_twice(shop: Path, tmp_p
 def test_numbers_are_those_of_estimate(shop: Path, tmp_path: Path) -> None:
     done("fleet", "estimate", table(shop, tmp_path, *GOOD), "--out", tmp_path / "out")
     done("estimate", shop / "small.toml", shop / "logs" / "axis1.csv", "--out", tmp_path / "e.csv")
-    alone = read_estimates(tmp_path / "e.csv")
+    alone = read_columns(tmp_path / "e.csv")
     row = rows_of(tmp_path / "out")[1]
-    for k, name in enumerate(("stiffness_1_N_m", "stiffness_2_N_m", "coulomb_N")):
-        assert float(row[name]) == alone.parameters[-1, k]
-        assert float(row[f"std_{name}"]) == alone.std[-1, k]
+    for name, column in (
+        ("stiffness_1_N_m", "stiffness_1"),
+        ("stiffness_2_N_m", "stiffness_2"),
+        ("coulomb_N", "coulomb"),
+    ):
+        assert float(row[name]) == alone[column][-1]
+        assert float(row[f"std_{name}"]) == alone[f"std_{column}"][-1]
     written = tmp_path / "out" / row["folder"] / "estimates.csv"
     assert written.read_bytes() == (tmp_path / "e.csv").read_bytes()
 

@@ -26,7 +26,6 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import write_report
 from sgms_mhe.signals.chain import signals_from_log
-from sgms_mhe.signals.estimates import read_estimates
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.errors import InputError
 
@@ -141,9 +140,7 @@ def test_the_twin_moves_and_is_estimated_alike(logs: tuple[Path, Path], tmp_path
         "time_s,friction_measured_Nm,friction_Nm,z_1_rad,z_2_rad,z_3_rad,z_4_rad,stiffness_1"
     )
     assert "status,innovation_Nm,test_ratio,noise_scale" in written[1][0]
-    back = read_estimates(tmp_path / "etel_xy_rotary.csv")
-    assert back.kind == "rotary"
-    assert len(back) > 100
+    assert len(written[1]) > 100
 
 
 def test_the_c_is_the_reference(logs: tuple[Path, Path]) -> None:

@@ -17,7 +17,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.plant.axis_config import AxisConfig, Controller
 from sgms_mhe.plant.native import COMPENSATION
-from sgms_mhe.plant.simulation import Truth, linear_drift, plant_effects, simulate_axis, sinusoidal_drift
+from sgms_mhe.plant.simulation import Truth, linear_drift, plant_effects, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, hysteresis, make_trajectory
 from sgms_mhe.support.errors import InputError
 
@@ -244,12 +244,9 @@ def test_loop_follows_its_reference(machine: Machine) -> None:
 def test_controllers(machine: Machine) -> None:
     trajectory = make_trajectory("step_and_settle", 1e4, duration_s=0.6)
     pid = Controller.pid(MASS, 80.0)
-    # A cascade with velocity feed-forward is the PID with P = G (K + 1/T), I = G K / T, D = G.
-    cascade = Controller.cascade(
-        100.0, pid.derivative, 0.02, filter_Hz=800.0, velocity_feedforward=1.0, acceleration_feedforward_kg=MASS
-    )
-    assert cascade.proportional == pytest.approx(pid.derivative * 150.0)
-    assert cascade.integral == pytest.approx(pid.derivative * 5000.0)
+    # Of a cascade of gains K, G with integral time T and velocity feed-forward: P = G (K + 1/T), I = G K / T, D = G.
+    gain = pid.derivative
+    cascade = Controller(gain * (100.0 + 1.0 / 0.02), gain * 100.0 / 0.02, gain, 800.0, 1.0, MASS)
     followed = truth_of(machine, trajectory, clean(controller=cascade))
     assert np.abs(followed.position_m - trajectory.position_m).max() < 1e-5
     # Without it the axis lags its reference by v / K.
@@ -319,20 +316,6 @@ def test_a_seed_is_a_run(machine: Machine) -> None:
     np.testing.assert_array_equal(first.position_m, silent.position_m)
 
 
-def test_ideal_log_bypasses_the_chain(machine: Machine) -> None:
-    run = simulate_axis(machine, make_trajectory("paper", 1e4, duration_s=3.0), prescribed())
-    log = run.ideal_log()
-    assert run.truth is not None
-    assert log.friction_N is not None
-    assert log.velocity_m_s is not None
-    np.testing.assert_allclose(log.friction_N, run.truth.friction_N, atol=1e-12)
-    np.testing.assert_allclose(np.cumsum(log.velocity_m_s) * 1e-4, run.truth.position_m, atol=1e-15)
-    without = simulate_axis(machine, make_trajectory("paper", 1e4, duration_s=0.1), truth=False)
-    assert without.truth is None
-    with pytest.raises(ValueError, match="without truth"):
-        without.ideal_log()
-
-
 def test_log_is_a_log(machine: Machine) -> None:
     log = simulate_axis(machine, make_trajectory("paper", 1e4, duration_s=0.5)).log
     assert len(log) == 5000
@@ -358,7 +341,7 @@ def test_parameters_replace_and_scale(machine: Machine) -> None:
 
 def test_drift_multiplies_over_time(machine: Machine) -> None:
     trajectory = ramp(0.2, 0.1)
-    drifts = {"coulomb": linear_drift(0.5, 2.0), "viscous": sinusoidal_drift(0.3, 1.0)}
+    drifts = {"coulomb": linear_drift(0.5, 2.0), "viscous": lambda t: 1.0 + 0.3 * np.sin(2.0 * np.pi * t)}
     truth = truth_of(machine, trajectory, prescribed(), drift=drifts)
     t = np.floor(truth.time_s[2000:] / 0.01 + 1e-6) * 0.01
     expected = 4.0 * (1.0 + 0.25 * t) + 2.0 * (1.0 + 0.3 * np.sin(2 * np.pi * t))

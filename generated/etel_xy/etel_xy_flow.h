@@ -386,10 +386,9 @@ static inline sgms_integer sgms_flow_is_near(sgms_real r)
 static SGMS_INLINE sgms_flow_move sgms_flow_near(sgms_real r, sgms_real decay)
 {
     const sgms_real t = (r - flow_table.r_star) * 250.0;
-    sgms_real s = -4.27901462358034e-10, d_psi = 0.0;
-    sgms_real near = -4.851033316985357e-09, d_r = 0.0;
+    sgms_real s = -4.27901462358034e-10, d_psi = s;
+    sgms_real near = -4.851033316985357e-09, d_r = near;
     sgms_flow_move move;
-    d_psi = d_psi * t + s;
     s = s * t + 8.10521346631196e-10;
     d_psi = d_psi * t + s;
     s = s * t + 2.3646907389345382e-07;
@@ -404,7 +403,6 @@ static SGMS_INLINE sgms_flow_move sgms_flow_near(sgms_real r, sgms_real decay)
     d_psi = d_psi * t + s;
     s = s * t + -1.9892866658166e-13;
     s *= decay;
-    d_r = d_r * s + near;
     near = near * s + -8.145417485768932e-08;
     d_r = d_r * s + near;
     near = near * s + -1.3810697907634813e-06;
@@ -428,8 +426,7 @@ static SGMS_INLINE sgms_flow_move sgms_flow_near(sgms_real r, sgms_real decay)
 static inline sgms_real sgms_flow_polynomial(const sgms_real *c, sgms_real t, sgms_real *derivative)
 {
     sgms_real value = c[12];
-    sgms_real slope = 0.0;
-    slope = slope * t + value;
+    sgms_real slope = value;
     value = value * t + c[11];
     slope = slope * t + value;
     value = value * t + c[10];

@@ -53,30 +53,6 @@ class Controller:
             feedforward_lead_s=feedforward_lead_s,
         )
 
-    @classmethod
-    def cascade(
-        cls,
-        position_gain: float,
-        velocity_gain: float,
-        integral_time_s: float = math.inf,
-        *,
-        filter_Hz: float,
-        velocity_feedforward: float = 0.0,
-        acceleration_feedforward_kg: float = 0.0,
-    ) -> Self:
-        """P-PI cascade: velocity command K e, force = G (velocity error + its integral / T).
-
-        K [1/s], G [N s/m], T [s]. With the velocity feed-forward in the velocity command it is a PID of these gains.
-        """
-        return cls(
-            velocity_gain * (position_gain + 1.0 / integral_time_s),
-            velocity_gain * position_gain / integral_time_s,
-            velocity_gain,
-            filter_Hz,
-            velocity_feedforward,
-            acceleration_feedforward_kg,
-        )
-
 
 @dataclass(frozen=True)
 class AxisConfig:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -35,7 +35,7 @@ from sgms_mhe.support.notebooks import Presentation, Shown
 
 Array = NDArray[np.float64]
 Drift = Callable[[float], float]
-"""Multiplier of a true parameter over time [s]; see `linear_drift`, `sinusoidal_drift`."""
+"""Multiplier of a true parameter over time [s]; see `linear_drift`."""
 
 _EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -71,30 +71,10 @@ class SimulatedRun(Shown):
     def _shown(self) -> Presentation:
         return self.log._shown()[0], (), ()
 
-    def ideal_log(self) -> Log:
-        """The log with true motion: its columns of velocity and friction bypass the signal chain.
-
-        velocity[k] is the mean over the sample that ends at k, friction = logged force - mass * true acceleration with
-        the mass of the machine file; noise, delays and gains of the logged force stay in it.
-        """
-        if self.truth is None:
-            raise ValueError("the run was simulated without truth")
-        position = self.truth.position_m
-        return replace(
-            self.log,
-            velocity_m_s=np.diff(position, prepend=position[:1]) * self.log.rate,
-            friction_N=self.log.force_N - self.mass * self.truth.acceleration_m_s2,
-        )
-
 
 def linear_drift(relative: float, duration_s: float) -> Drift:
     """Multiplier that goes from 1 to 1 + `relative` over `duration_s` and stays there."""
     return lambda t: 1.0 + relative * min(max(t / duration_s, 0.0), 1.0)
-
-
-def sinusoidal_drift(relative: float, period_s: float, phase_rad: float = 0.0) -> Drift:
-    """Multiplier 1 + `relative` sin(2 pi t / period + phase)."""
-    return lambda t: 1.0 + relative * math.sin(2.0 * math.pi * t / period_s + phase_rad)
 
 
 def simulate_axis(

@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.machine import LINEAR, OF_KIND, ROTARY, Kind
-from sgms_mhe.signals.columns import read_columns, write_columns
+from sgms_mhe.machine import OF_KIND, Kind
+from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
@@ -111,42 +111,3 @@ class Estimates(Shown):
 def write_estimates(path: str | Path, estimates: Estimates) -> None:
     """Write the estimates' CSV atomically: time, friction, deflections, parameters, their std, status."""
     write_columns(path, estimates.columns)
-
-
-def read_estimates(path: str | Path) -> Estimates:
-    """Read an estimates' CSV."""
-    columns = read_columns(path)
-    units = ROTARY if ROTARY.named("friction_N") in columns else LINEAR
-
-    def column(name: str) -> Array:
-        if units.named(name) not in columns:
-            raise InputError(path, f"column {units.named(name)}", None, "missing: an estimates file has it")
-        return columns[units.named(name)]
-
-    n_z = 1
-    while units.named(f"z_{n_z + 1}_m") in columns:
-        n_z += 1
-    names = tuple(name.removeprefix("std_") for name in columns if name.startswith("std_"))
-    for name in names:
-        if name not in columns:
-            raise InputError(path, f"column {name}", None, f"missing: std_{name} is there")
-    length = len(column("time_s"))
-    unknown: Array = np.full(length, np.nan)
-
-    def matrix(selected: list[str]) -> Array:
-        return np.column_stack([columns[name] for name in selected]) if selected else np.empty((length, 0))
-
-    return Estimates(
-        time_s=column("time_s"),
-        friction_measured_N=column("friction_measured_N"),
-        friction_N=column("friction_N"),
-        z_m=np.column_stack([column(f"z_{i + 1}_m") for i in range(n_z)]),
-        parameters=matrix(list(names)),
-        std=matrix([f"std_{name}" for name in names]),
-        status=column("status").astype(np.int64),
-        innovation_N=columns.get(units.named("innovation_N"), unknown),
-        test_ratio=columns.get("test_ratio", unknown),
-        noise_scale=columns.get("noise_scale", unknown),
-        parameter_names=names,
-        kind=units.kind,
-    )
