@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.host.packages import cached_package
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.recordings.series import row_means
@@ -63,5 +62,5 @@ def _model(machine: Machine) -> CompiledModel:
             "code": {"precision": "double"},
         }
         plain = override_machine(machine, changes)
-        _models[machine.digest] = CompiledModel(plain, cached_package(plain))
+        _models[machine.digest] = CompiledModel(plain)
     return _models[machine.digest]

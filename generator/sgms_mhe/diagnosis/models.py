@@ -34,9 +34,9 @@ from sgms_mhe.diagnosis.parametrisation import (
     typical_sizes,
 )
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.host.packages import SYMBOLIC, cached_package
+from sgms_mhe.host.packages import SYMBOLIC
 from sgms_mhe.machine import Machine
-from sgms_mhe.model import Model, build_model
+from sgms_mhe.model import Model
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise
 from sgms_mhe.recordings.recording import SPLIT, Recording
@@ -345,9 +345,7 @@ def compile_once(structure: ModelStructure) -> CompiledFit:
     machine = structure.machine
     with SYMBOLIC:
         extended = extended_machine(structure)
-        model = build_model(extended)
-        package = cached_package(extended, model)
-    code = CompiledModel(extended, package, model)
+    code = CompiledModel(extended)
     own, zero = len(machine.effects), typical_sizes(machine)
     groups = {
         e.label: ParameterGroup.own(e.name, e.label) if i < own else ParameterGroup.candidate(e.name, i - own)

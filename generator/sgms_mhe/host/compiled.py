@@ -12,7 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.emission.package import Package, write_package
+from sgms_mhe.host.packages import SYMBOLIC, cached_package
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
@@ -20,7 +21,7 @@ from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
-from sgms_mhe.support.toolchain import DEFAULT_FLAGS, load_library, shared_library, wide_flags
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, QUICK_FLAGS, load_library, shared_library, wide_flags
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -75,13 +76,14 @@ class CompiledModel:
     Args:
         machine: the machine file.
         package: its package, if it was generated already.
-        model: its symbolic model, if it was built already.
     """
 
-    def __init__(self, machine: Machine, package: Package | None = None, model: Model | None = None) -> None:
+    def __init__(self, machine: Machine, package: Package | None = None) -> None:
         self.machine = machine
-        self.model = model or build_model(machine)
-        self._library = load_library(_compile(machine, package, (*DEFAULT_FLAGS, *wide_flags()), "predict.c"))
+        with SYMBOLIC:
+            self.model = build_model(machine)
+            package = package or cached_package(machine, self.model)
+        self._library = load_library(_compile(package, (*DEFAULT_FLAGS, *wide_flags()), "predict.c"))
 
     def predict(
         self,
@@ -193,14 +195,14 @@ class CompiledEstimator:
         self,
         machine: Machine,
         package: Package | None = None,
-        flags: Sequence[str] = DEFAULT_FLAGS,
+        flags: Sequence[str] = QUICK_FLAGS,
         model: Model | None = None,
         beside: Sequence[Path] = (),
     ) -> None:
         self.machine = machine
         self.model = model or build_model(machine)
         sources = (f"{machine.name}.c", "replay.c", *map(str, beside))
-        self.library = load_library(_compile(machine, package, flags, *sources))
+        self.library = load_library(_compile(package or cached_package(machine), flags, *sources))
         self.library.sgms_replay_memory.restype = ctypes.c_size_t
         self.library.sgms_replay_run.restype = ctypes.c_long
         self._columns = int(self.library.sgms_replay_columns())
@@ -335,9 +337,9 @@ def _arrays(signals: Log | Signals) -> dict[str, NDArray[Any]]:
     }
 
 
-def _compile(machine: Machine, package: Package | None, flags: Sequence[str], *sources: str) -> Path:
+def _compile(package: Package, flags: Sequence[str], *sources: str) -> Path:
     """Compile sources of a package, or of the runtime, against the package's headers; return the shared library."""
-    package = package or emit_package(machine, selftest=False)
+    machine = package.machine
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / machine.name
         write_package(package, folder)

@@ -23,9 +23,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.host.packages import SYMBOLIC, cached_package
 from sgms_mhe.identification.records import ElementMotion
-from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import effect_definition, effect_names
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.support.parallel import run_parallel
@@ -194,8 +192,4 @@ def _compile_once(law: Law, velocity: float, loaded: bool) -> CompiledModel:
         },
         "estimator": {"parameters": ["stiffness", "stribeck_ratio", "stribeck_velocity"]},
     }
-    machine = make_machine(content, Path("one_element.toml"))
-    with SYMBOLIC:
-        model = build_model(machine)
-        package = cached_package(machine, model)
-    return CompiledModel(machine, package, model)
+    return CompiledModel(make_machine(content, Path("one_element.toml")))

@@ -21,7 +21,7 @@ from sgms_mhe.reference.blocks import Blocks
 from sgms_mhe.reference.flow import DEGREE, NEAR
 from sgms_mhe.reference.linearised import Linearised, Outputs
 from sgms_mhe.reference.plan import BEFORE_TURN, Plan
-from sgms_mhe.support.toolchain import load_library, shared_library
+from sgms_mhe.support.toolchain import QUICK_FLAGS, load_library, shared_library
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class CompiledLoops:
             driver = resources.files(__package__).joinpath("intervals.c").read_text()
             source = Path(folder) / "sgms_mhe_reference.c"
             source.write_text(generator.dump() + self._constants() + driver)
-            path = shared_library([source], libraries=["m"])
+            path = shared_library([source], flags=QUICK_FLAGS, libraries=["m"])
         library = load_library(path)
         library.sgms_reference_intervals.restype = None
         library.sgms_reference_outputs.restype = None
