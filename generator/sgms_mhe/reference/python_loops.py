@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -26,13 +26,33 @@ class Moved(NamedTuple):
     by_theta: Array
 
 
+class _Function:
+    """A CasADi function of arrays, for one thread: its own call takes twenty times as long, to convert them."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer, self._evaluate = function.buffer()
+        self._given = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
+        self._found = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+        self._shapes = [function.size_out(i) for i in range(function.n_out())]
+        for place, array in enumerate(self._given):
+            self._buffer.set_arg(place, array.data)  # type: ignore[call-arg]
+        for place, array in enumerate(self._found):
+            self._buffer.set_res(place, array.data)  # type: ignore[call-arg]
+
+    def __call__(self, *given: Array | float) -> list[Array]:
+        for array, value in zip(self._given, given, strict=True):
+            array[:] = value
+        self._evaluate()
+        return [a.reshape(shape, order="F").copy() for a, shape in zip(self._found, self._shapes, strict=True)]
+
+
 class PythonLoops:
     """The loops of one model around CasADi's functions."""
 
     def __init__(self, blocks: Blocks, functions: Mapping[str, ca.Function]) -> None:
         self._model = blocks.model
         self._blocks = blocks
-        self._functions = functions
+        self._functions = {name: _Function(function) for name, function in functions.items()}
 
     def intervals(self, plan: Plan, first: int, x: Array, theta: Array) -> Linearised:
         """Integrate intervals first, first + 1, ... (0 leads from node 0) from the node states x (n, n_x)."""
@@ -45,10 +65,8 @@ class PythonLoops:
             for store, value in zip(ends, end, strict=True):
                 store[k] = value
             for r, (x_r, A, B) in enumerate(within):
-                y, C, D = (
-                    np.array(part) for part in self._functions["measure"](x_r, plan.inner_w[first + k, r], theta)
-                )
-                for store, value in zip(inner, (y.item(), C @ A, C @ B + D), strict=True):
+                y, C, D = self._functions["measure"](x_r, plan.inner_w[first + k, r], theta)
+                for store, value in zip(inner, (y[0, 0], C @ A, C @ B + D), strict=True):
                     store[k, r] = value
         return Linearised(*ends, inner)
 
@@ -56,13 +74,13 @@ class PythonLoops:
         """Output and its sensitivities at nodes: x (n, n_x), w (n, 5)."""
         count, n_x, n_p = len(x), self._model.n_x, self._model.n_p
         results = [self._functions["measure"](node, signal, theta) for node, signal in zip(x, w, strict=True)]
-        y, C, D = (np.array([np.array(row[i]) for row in results]) for i in range(3))
+        y, C, D = (np.array(part) for part in zip(*results, strict=True))
         return Outputs(y.reshape(count), C.reshape(count, n_x), D.reshape(count, n_p))
 
     def _interval(self, plan: Plan, interval: int, x: Array, theta: Array) -> list[tuple[Array, Array, Array]]:
         """Node states, their sensitivities to x and theta, at the measurements of an interval, the last one its end."""
         n_x, n_p, functions = self._model.n_x, self._model.n_p, self._functions
-        begin, F_x, F_t = (np.array(part) for part in functions["start"](x, theta))
+        begin, F_x, F_t = functions["start"](x, theta)
         begin = begin.reshape(n_x)
         k0, spacing, readings = interval * plan.steps, plan.steps // plan.readings, plan.readings
         chi, phi, psi = np.empty((readings, n_x)), np.zeros((readings, n_x, n_x)), np.zeros((readings, n_x, n_p))
@@ -77,7 +95,7 @@ class PythonLoops:
                     chi[r, states], phi[r][np.ix_(states, states)], psi[r, states] = c, p, t
         reached = []
         for c, p, t in zip(chi, phi, psi, strict=True):
-            x_r, T_x, T_t = (np.array(part) for part in functions["finish"](c, theta))
+            x_r, T_x, T_t = functions["finish"](c, theta)
             reached.append((x_r.reshape(n_x), T_x @ p @ F_x, T_x @ (p @ F_t + t) + T_t))
         return reached
 
@@ -87,7 +105,7 @@ class PythonLoops:
             yield from self._clips(plan, k, b, chi, theta)
             return
         if self._blocks.all[b].slides and plan.slide[k, 0] != 0.0:
-            moved = self._slid(plan.slide[k], float(chi[0]), *self._functions[f"rate_{b}"].call([theta]))
+            moved = self._slid(plan.slide[k], float(chi[0]), *self._functions[f"rate_{b}"](theta))
             if moved is not None:
                 yield moved
                 return
@@ -122,7 +140,7 @@ class PythonLoops:
         """Runge-Kutta substeps with signals on the line from `start` to `end`."""
         for s in range(count):
             w0, w1 = start + (end - start) * (s / count), start + (end - start) * ((s + 1) / count)
-            new, J, T = (np.array(part) for part in self._functions[f"step_{b}"](chi, w0, w1, theta, h / count))
+            new, J, T = self._functions[f"step_{b}"](chi, w0, w1, theta, h / count)
             chi = new.reshape(len(chi))
             yield Moved(chi, J, T)
 
@@ -141,24 +159,24 @@ class PythonLoops:
             stairs = plan.stair[k * plan.stairs : (k + 1) * plan.stairs]
             moves += [(w, w, plan.h / plan.stairs) for w in stairs]
         for w, last, h in moves:
-            moved = _clip(tuple(self._functions[f"clip_{b}"].call([chi[1:], w, last, theta, h])), chi)
+            moved = _clip(self._functions[f"clip_{b}"](chi[1:], w, last, theta, h), chi)
             chi = moved.chi
             yield moved
 
-    def _jump(self, drive: tuple[ca.DM, ...], chi: Array) -> Moved:
+    def _jump(self, drive: Sequence[Array], chi: Array) -> Moved:
         """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
-        level, xi = float(drive[0]), float(drive[1])
-        dlevel, dxi, dend = (np.array(part) for part in drive[3:])
+        level, xi = drive[0].item(), drive[1].item()
+        dlevel, dxi, dend = drive[3:]
         sign = math.copysign(1.0, xi)
         r0 = sign * float(chi[0]) / level
         r1, slope, g1 = self._blocks.flow.advance(r0, abs(xi))
         change = sign * (r1 - slope * r0) * dlevel + level * g1 * dxi
-        return _closed_form(sign * level * r1, slope, change[0], np.array(drive[2]), dend)
+        return _closed_form(sign * level * r1, slope, change[0], drive[2], dend)
 
-    def _slid(self, slide: Array, chi: float, rate: ca.DM, by_theta: ca.DM) -> Moved | None:
+    def _slid(self, slide: Array, chi: float, rate: Array, by_theta: Array) -> Moved | None:
         """A step that an element slides through, at once; None where it is not near enough to the fixed point."""
         displacement, level, delta = (float(value) for value in slide)
-        flow, rho = self._blocks.flow, float(rate)
+        flow, rho = self._blocks.flow, rate.item()
         direction = math.copysign(1.0, displacement)
         r0 = direction * chi / level
         if not abs(r0 - flow.r_star) < NEAR / flow.smoothing.lambda_:
@@ -171,18 +189,18 @@ class PythonLoops:
         end = direction * (level * r1 + lag)
         by_chi = slope * math.exp(-flow.curvature * lag / (level * flow.k))
         by_rho = direction * (level * g1 * xi + flow.r_star * delta * x * dphi) / rho
-        return Moved(np.array([end]), np.array([[by_chi]]), by_rho * np.array(by_theta))
+        return Moved(np.array([end]), np.array([[by_chi]]), by_rho * by_theta)
 
 
-def _clip(drive: tuple[ca.DM, ...], chi: Array) -> Moved:
+def _clip(drive: Sequence[Array], chi: Array) -> Moved:
     """An element that sticks moves with the axis; one that the axis pushes beyond its level stays at the level."""
-    level, move = float(drive[0]), float(drive[1])
-    dlevel, dmove, dend = (np.array(part) for part in drive[3:])
+    level, move = drive[0].item(), drive[1].item()
+    dlevel, dmove, dend = drive[3:]
     direction, end = math.copysign(1.0, move), float(chi[0]) + move
     slips = move != 0.0 and direction * end > level
     change = direction * dlevel[0] if slips else dmove[0]
     reached = direction * level if slips else end
-    return _closed_form(reached, float(not slips), change, np.array(drive[2]), dend)
+    return _closed_form(reached, float(not slips), change, drive[2], dend)
 
 
 def _closed_form(chi: float, slope: float, change: Array, end: Array, dend: Array) -> Moved:
