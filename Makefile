@@ -157,8 +157,9 @@ notebooks: $(STAMP) ## examples/notebooks/*.ipynb from the scripts beside them
 
 # --- checks ----------------------------------------------------------------------------------------------------------
 
-# One thread per worker: numerical libraries that each take all cores slow each other down.
-PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS)
+# One thread per worker: numerical libraries that each take all cores slow each other down. Bytecode is kept, whatever
+# the environment says: to compile the tests takes longer than `make check` has.
+PYTEST = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS)
 
 test: $(STAMP) ## all tests but those marked slow
 	$(PYTEST) --dist worksteal -m "not slow" $(PYTEST_ARGS)
