@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -105,7 +106,7 @@ class Model:
         noise = self.machine.estimator.noise
         return noise.parameter_drift * (self.prior / noise.parameter)
 
-    @property
+    @cached_property
     def output_is_affine(self) -> bool:
         """Return True if the output is affine in (node state, theta) jointly, whatever the signals are.
 
@@ -120,16 +121,14 @@ class Model:
         def draw(count: int, low: float, high: float) -> NDArray[np.float64]:
             return np.asarray(rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(low, high, count))
 
-        def slopes(w: NDArray[np.float64]) -> NDArray[np.float64]:
+        def draw_node() -> NDArray[np.float64]:
             theta = [rng.uniform(max(p.lower, 0.9), min(p.upper, 1.1)) for p in self.parameters]
-            return np.array(function(np.concatenate([draw(self.n_x, -2.0, 1.0), theta]), w))
+            return np.concatenate([draw(self.n_x, -2.0, 1.0), theta])
 
-        for _ in range(100):
-            w = draw(self.w.numel(), -6.0, 2.0)
-            here, there = slopes(w), slopes(w)
-            if not np.max(np.abs(there - here)) <= 1e-11 * np.max(np.abs(here)):
-                return False
-        return True
+        points = [(w, draw_node(), draw_node()) for w in (draw(self.w.numel(), -6.0, 2.0) for _ in range(100))]
+        w, *nodes = (np.column_stack(drawn) for drawn in zip(*points, strict=True))
+        here, there = (np.array(function(node, w)).reshape(len(points), -1) for node in nodes)
+        return bool(np.all(np.abs(there - here).max(axis=1) <= 1e-11 * np.abs(here).max(axis=1)))
 
     def to_si(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """Parameters in SI units from scaled ones, shape (..., n_p)."""

@@ -8,6 +8,7 @@ digits than a double holds, so that every machine emits the same bytes.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, localcontext
 from functools import lru_cache
@@ -63,7 +64,8 @@ def gate_ratio(zeta: float, lambda_: float, gamma: float, tail: float = TAIL) ->
     """
     if not gate_saturates(zeta, lambda_, gamma, tail):
         return math.inf
-    return next(c / 100.0 for c in range(1, _LARGEST + 1) if _gate_tail(zeta, lambda_, gamma, c / 100.0) < tail)
+    steps = range(1, _LARGEST + 1)
+    return steps[bisect_left(steps, True, key=lambda c: _gate_tail(zeta, lambda_, gamma, c / 100.0) < tail)] / 100.0
 
 
 def gate_saturates(zeta: float, lambda_: float, gamma: float, tail: float = TAIL) -> bool:
