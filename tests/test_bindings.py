@@ -138,6 +138,7 @@ def test_python_says_what_is_refused(bound: Any, python: Any, tmp_path: Path) ->
             call()
     library = module.build(tmp_path / "etel_xy.so")
     assert module.Estimator(library).save() == module.Estimator().save()
+    assert module.Estimator()._c is module.Estimator()._c  # compiled once
     with pytest.raises(RuntimeError, match="no-such-compiler"):
         module.build(tmp_path / "none.so", "no-such-compiler")
 
