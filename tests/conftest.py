@@ -26,6 +26,12 @@ MARKED_TOOLS = {
     "needs_riscv": ("riscv64-unknown-elf-gcc", "qemu-system-riscv32"),
 }
 """Cross compiler and emulator that the tests with a marker take."""
+LONGEST = """
+test_faults_are_noticed test_a_curve_of_another_form_is_named_and_not_its_imitations test_experiment_is_the_recorded_one
+test_every_condition_decides_or_is_explained test_every_kind_of_code_has_no_hit_without_a_reason
+test_from_a_trace_to_firmware
+""".split()
+"""Tests of a minute and more: they begin first, or one worker is alone with one of them at the end."""
 
 # The only thing a CI machine may lack: measured data whose licence keeps it out of the repository.
 DATA_ABSENT = "measured data absent"
@@ -117,7 +123,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs a cross compiler where there is none; mark what reads measured data."""
+    """Skip what needs a cross compiler where there is none; mark what reads measured data; the longest first."""
+    items.sort(key=lambda item: item.name not in LONGEST)
     lacking = {marker: [tool for tool in tools if shutil.which(tool) is None] for marker, tools in MARKED_TOOLS.items()}
     for item in items:
         for marker, absent in lacking.items():

@@ -318,7 +318,7 @@ def test_a_force_that_belongs_to_the_place_is_followed(name: str, motion: str, v
 
 def test_the_smoother_follows_a_force_of_a_place_too() -> None:
     error = next(error for error in ERRORS if error.name == "cogging 1 N / 32 mm")
-    record = erroneous_record(error, "contour", 0, 6.0)
+    record = erroneous_record(error, "contour", 0, 2.0)
     errors = []
     for force in (0.0, 0.2):
         machine = override_machine(load_machine("etel_xy"), {"estimator": {"disturbance": {"force": force}}})
