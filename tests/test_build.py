@@ -51,7 +51,6 @@ def test_everything_that_matters_makes_another_library(source: Path, tmp_path: P
         shared_library([source], [header.parent]),
         shared_library([source], flags=("-std=c99", "-O1")),
         shared_library([source], flags=(*DEFAULT_FLAGS, *WARNING_FLAGS)),
-        shared_library([source], cache_key="machine digest"),
         shared_library([source], libraries=("m",)),
     ]
     header.write_text("/* changed */\n")

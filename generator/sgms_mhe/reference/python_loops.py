@@ -26,7 +26,7 @@ class Moved(NamedTuple):
     by_theta: Array
 
 
-class _Function:
+class _OnArrays:
     """A CasADi function of arrays, for one thread: its own call takes twenty times as long, to convert them."""
 
     def __init__(self, function: ca.Function) -> None:
@@ -52,7 +52,7 @@ class PythonLoops:
     def __init__(self, blocks: Blocks, functions: Mapping[str, ca.Function]) -> None:
         self._model = blocks.model
         self._blocks = blocks
-        self._functions = {name: _Function(function) for name, function in functions.items()}
+        self._functions = {name: _OnArrays(function) for name, function in functions.items()}
 
     def intervals(self, plan: Plan, first: int, x: Array, theta: Array) -> Linearised:
         """Integrate intervals first, first + 1, ... (0 leads from node 0) from the node states x (n, n_x)."""

@@ -104,50 +104,37 @@ def shared_library(
     sources: Sequence[Path],
     include_dirs: Sequence[Path] = (),
     flags: Sequence[str] = DEFAULT_FLAGS,
-    cache_key: str = "",
     libraries: Sequence[str] = (),
 ) -> Path:
-    """Compile C sources to a shared library and return its path.
-
-    The library is kept under a name that is a digest of everything it is made of: contents of the sources and of the
-    headers beside them and in `include_dirs`, flags, compiler and its version, `cache_key`; see
-    `sgms_mhe.support.cache`.
-
-    Args:
-        sources: C files.
-        include_dirs: folders of headers.
-        flags: compiler flags, `-fPIC -shared` excluded.
-        cache_key: anything else the result depends on.
-        libraries: system libraries to link, as `m`.
-
-    Raises:
-        BuildError: no compiler, or it refused; the message carries its output.
-    """
-    return _reuse_build(sources, include_dirs, (*flags, "-fPIC", "-shared"), cache_key, libraries, suffix=".so")
+    """Compile C sources to a shared library and return its path; arguments, cache and errors as for `program`."""
+    return program(sources, include_dirs, (*flags, "-fPIC", "-shared"), libraries, suffix=".so")
 
 
 def program(
     sources: Sequence[Path],
     include_dirs: Sequence[Path] = (),
     flags: Sequence[str] = DEFAULT_FLAGS,
-    cache_key: str = "",
     libraries: Sequence[str] = (),
-) -> Path:
-    """Compile C sources to a program and return its path; arguments, cache and errors as for `shared_library`."""
-    return _reuse_build(sources, include_dirs, tuple(flags), cache_key, libraries, suffix="")
-
-
-def _reuse_build(
-    sources: Sequence[Path],
-    include_dirs: Sequence[Path],
-    flags: tuple[str, ...],
-    cache_key: str,
-    libraries: Sequence[str],
     *,
-    suffix: str,
+    suffix: str = "",
 ) -> Path:
+    """Compile C sources to a program and return its path.
+
+    It is kept under a name that is a digest of everything it is made of: contents of the sources and of the headers
+    beside them and in `include_dirs`, flags, compiler and its version; see `sgms_mhe.support.cache`.
+
+    Args:
+        sources: C files.
+        include_dirs: folders of headers.
+        flags: compiler flags.
+        libraries: system libraries to link, as `m`.
+        suffix: of its name.
+
+    Raises:
+        BuildError: no compiler, or it refused; the message carries its output.
+    """
     command = compiler()
-    digest = _digest(sources, include_dirs, (*command, _version(command), *flags, *libraries, cache_key))
+    digest = _digest(sources, include_dirs, (*command, _version(command), *flags, *libraries))
     stem = sources[0].stem
     kept = cache.find(stem, digest, suffix)
     if kept is not None:
