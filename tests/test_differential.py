@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from c_packages import Array, elements, machine, scheme
+from c_packages import PRECISIONS, Array, elements, machine, scheme
 from reference_cases import linear_model
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.emission.package import emit_package
@@ -25,6 +25,7 @@ from sgms_mhe.reference import UpdateStatus, estimate_model, estimate_reference
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, QUICK_FLAGS
 
 SEED = 1
 OFF = (1.2, 0.8, 1.1, 0.97)
@@ -230,6 +231,17 @@ def test_c_is_the_reference(case: str) -> None:
     assert (reference.status == 0).any() or case in BOUNDED
     if case in BOUNDED:
         assert np.count_nonzero(reference.status & UpdateStatus.BOUND) > 3
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_what_the_compiler_takes_longer_for_is_the_same_to_the_bit(precision: str) -> None:
+    settings = machine(code={"precision": precision}, estimator={"horizon": 6})
+    signals, package = signals_of(settings), emit_package(settings, selftest=False)
+    quick, thorough = (
+        CompiledEstimator(settings, package, flags).estimate(signals) for flags in (QUICK_FLAGS, DEFAULT_FLAGS)
+    )
+    for name in ("friction_N", "z_m", "parameters", "std", "status"):
+        np.testing.assert_array_equal(getattr(quick, name), getattr(thorough, name), err_msg=name)
 
 
 @pytest.mark.parametrize(("kind", "relinearise"), [("mhe", "all"), ("mhe", "auto"), ("mhe", "newest"), ("ekf", "all")])

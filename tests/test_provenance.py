@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -20,6 +20,7 @@ from package_variants import TOY
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host import packages, provenance
+from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
 from sgms_mhe.host.provenance import Sources, digest_of_sources, read_sources
 from sgms_mhe.support.paths import runtime_dir, templates_dir
 
@@ -168,6 +169,21 @@ def test_cached_packages_have_the_digest_of_the_sources(monkeypatch: pytest.Monk
     monkeypatch.setattr(packages, "digest_of_sources", lambda _: "0123456789ab")
     assert packages.cached_package(settings).files == emitted.files
     assert len(set(tmp_path.rglob("package-*.json"))) == 2
+
+
+def test_a_machine_is_emitted_once_for_all_models_on_this_host(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    settings = machine(estimator={"kind": "ekf"})
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    emitted: list[Any] = []
+
+    def count(*given: Any, **options: Any) -> Any:
+        emitted.append(given)
+        return emit_package(*given, **options)
+
+    monkeypatch.setattr(packages, "emit_package", count)
+    for each in (CompiledModel, CompiledModel, CompiledEstimator):
+        each(settings)
+    assert len(emitted) == 1
 
 
 COMMENTED = """
