@@ -149,11 +149,8 @@ static void follow_lag(etel_xy_controller_t *self)
 /* Nothing fed forward, nothing moved. */
 static void start_compensation(etel_xy_controller_t *self)
 {
-    fill(self->compensation.ahead, 0.0f, 2);
-    self->compensation.lag = 0.0f;
     self->compensation.gain = 0.0f;
     self->compensation.ahead_given = 0;
-    self->compensation.through_chain = 0;
 }
 
 static course course_ahead(const etel_xy_controller_t *self)

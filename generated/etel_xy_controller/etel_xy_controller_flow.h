@@ -159,10 +159,9 @@ static inline sgms_integer sgms_flow_is_near(sgms_real r)
 static SGMS_INLINE sgms_flow_move sgms_flow_near(sgms_real r, sgms_real decay)
 {
     const sgms_real t = (r - flow_table.r_star) * 250.0f;
-    sgms_real s = 2.3582727e-07f, d_psi = 0.0f;
-    sgms_real near = -1.3883453e-06f, d_r = 0.0f;
+    sgms_real s = 2.3582727e-07f, d_psi = s;
+    sgms_real near = -1.3883453e-06f, d_r = near;
     sgms_flow_move move;
-    d_psi = d_psi * t + s;
     s = s * t + -1.021804e-05f;
     d_psi = d_psi * t + s;
     s = s * t + 0.0002934435f;
@@ -173,7 +172,6 @@ static SGMS_INLINE sgms_flow_move sgms_flow_near(sgms_real r, sgms_real decay)
     d_psi = d_psi * t + s;
     s = s * t + 2.4930913e-11f;
     s *= decay;
-    d_r = d_r * s + near;
     near = near * s + -2.3915958e-05f;
     d_r = d_r * s + near;
     near = near * s + -0.00041195142f;
@@ -193,8 +191,7 @@ static SGMS_INLINE sgms_flow_move sgms_flow_near(sgms_real r, sgms_real decay)
 static inline sgms_real sgms_flow_polynomial(const sgms_real *c, sgms_real t, sgms_real *derivative)
 {
     sgms_real value = c[6];
-    sgms_real slope = 0.0f;
-    slope = slope * t + value;
+    sgms_real slope = value;
     value = value * t + c[5];
     slope = slope * t + value;
     value = value * t + c[4];

@@ -12,9 +12,9 @@
  *  1  save() writes what was learned, load() takes that and nothing else, on each of these ways:
  *     keeps_what_was_learned().
  *  2  Settings, held and set parameters are obeyed, kept over reset(), or refused:
- *     obeys_settings(), keeps_over_reset(), refuses_settings().
+ *     obeys_settings(), obeys_drift(), keeps_over_reset(), refuses_settings().
  *  3  Signals that are missing or absurd are left out, and said: notices_gaps().
- *  4  Measured friction is that of mechanics: measures_friction().
+ *  4  Measured friction is that of mechanics: measures_friction(), drops_rest().
  *  5  Each status is said where its reason is there, and has a text: says_status(), has_texts().
  *  6  The force follows the set-point, turns on and off, within its limit: limits_force().
  *  7  Lost intervals and calls inside of others are said, and the force fades:
@@ -57,10 +57,12 @@ enum {
 #define SELFTEST_TOLERANCE 1e-04f /* relative, of friction and parameters */
 #define SELFTEST_COARSE 0.001f /* of deviations and readings */
 #define SELFTEST_AHEAD 0.001f /* of the force, which is carried on by other steps */
+#define SELFTEST_UNSET 0.001f /* of that without a set-point */
 #define FLOW_TOLERANCE 3e-05f /* of a displacement over the elements' own, and of its derivatives */
 #define SELFTEST_LARGEST 2.4371562f /* N, friction */
 #define SELFTEST_FARTHEST 0.00018381012f /* m, deflection */
 #define SELFTEST_UNIT 1e-07f /* N, of the motion's friction */
+#define SELFTEST_SET_ACCELERATION 0.2f /* m/s/s, of the second run's set-points */
 #define SELFTEST_RAMP 1.0f /* of the force, per sample */
 #define SELFTEST_LAG 0.0f /* s, of the signal chain, for effects in time */
 /* growth of the second run's settings from one state, and one parameter, to the next */
@@ -68,6 +70,9 @@ enum {
 #define SELFTEST_BOUND 0.03f /* over nominal, of the second run */
 /* m/s, at which the model's force is beyond its limit; 0: at none */
 #define SELFTEST_VELOCITY 10.0f
+
+/* m/s, set-points after odd and after even updates of the second run by sample(). */
+static const sgms_real selftest_set_velocity[2] = {0.25f, 6.5e-05f};
 
 /* Samples, acceleration in pm per sample squared, rise of friction per sample. */
 static const int32_t selftest_segment[SELFTEST_SEGMENTS][3] = {
@@ -206,7 +211,7 @@ static const int32_t selftest_second_status[5] = {
     1, 3, 9, 9, 9};
 
 static const sgms_real selftest_second_force[5] = {
-    0.54065007f, 0.48147246f, -0.45276728f, 0.40635696f, 0.90141934f};
+    5.524691f, 0.4946619f, 4.561647f, 0.35846928f, 5.894621f};
 
 static const sgms_real selftest_second_inserted[5] = {
     0.507366f, 0.565478f, -0.42091325f, 0.29945236f, 0.89402604f};

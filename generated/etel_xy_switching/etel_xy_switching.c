@@ -700,16 +700,6 @@ static void fold_interval(etel_xy_switching_t *self, int slot)
     fold_rows(self, slot, rows);
 }
 
-/* Return whether any parameter walks. */
-static int walks(const etel_xy_switching_settings_t *settings)
-{
-    sgms_real largest = 0.0;
-    for (int p = 0; p < PARAMETERS; p++) {
-        largest = sgms_fmax(largest, settings->drift[p]);
-    }
-    return largest > 0.0;
-}
-
 /* Let theta walk over so many intervals: its covariance in the factor grows, but never beyond the
  * prior's. */
 static void add_drift(const etel_xy_switching_t *self, sgms_real *factor, int intervals)
@@ -923,7 +913,6 @@ static void expand_node(etel_xy_switching_t *self, int back)
 static void start_sweep(etel_xy_switching_t *self)
 {
     const bool is_growing = self->sweep.shifts >= DRIFT_INTERVAL;
-    sgms_real *start;
     if (older_intervals(self) > 0) {
         keep_inner(self, slot_before(self, 1), self->inner.rows +
             (1 - (int)(self->inner.side & 1)) * INNER * FACTOR_WIDTH);
@@ -937,12 +926,10 @@ static void start_sweep(etel_xy_switching_t *self)
     if (self->sweep.back < 0) {
         return;
     }
-    start = self->sweep.start + slot_before(self, sgms_place(self->sweep.back, HORIZON - 1)) *
-        TRIANGLE_SIZE;
-    restore_factor(self->sweep.factor, start);
+    restore_factor(self->sweep.factor, self->sweep.start +
+        slot_before(self, sgms_place(self->sweep.back, HORIZON - 1)) * TRIANGLE_SIZE);
     if (is_growing) {
         add_drift(self, self->sweep.factor, sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL));
-        keep_factor(start, self->sweep.factor);
         self->sweep.shifts = 0;
         self->sweep.pending_drift = 0;
     }
@@ -1166,7 +1153,7 @@ static int shift_window(etel_xy_switching_t *self, int *status)
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
     const bool is_full = older_intervals(self) == HORIZON - 1;
-    if (is_full && walks(&self->settings)) { /* otherwise nothing sets them back */
+    if (is_full) {
         self->sweep.shifts = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;
         self->sweep.pending_drift = sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL - 1) +
             (self->interval.moves[next] != 0u ? 1 : 0);
@@ -1333,7 +1320,6 @@ static void start_series(etel_xy_switching_t *self, bool measured, sgms_real fri
     self->interval.started = STARTED;
     self->window.weight[slot] = measured ? 1.0 / self->settings.measurement : 0.0;
     self->window.friction[slot] = measured ? friction - output_apart(self->input.signal) : 0.0;
-    self->interval.is_valid = 0;
     self->interval.friction = 0.0;
 }
 

@@ -75,11 +75,8 @@ static void follow_lag(etel_xy_switching_t *self)
 /* Nothing fed forward, nothing moved. */
 static void start_compensation(etel_xy_switching_t *self)
 {
-    fill(self->compensation.ahead, 0.0, 2);
-    self->compensation.lag = 0.0;
     self->compensation.gain = 0.0;
     self->compensation.ahead_given = 0;
-    self->compensation.through_chain = 0;
 }
 
 static course course_ahead(const etel_xy_switching_t *self)

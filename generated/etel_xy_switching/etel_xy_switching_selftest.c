@@ -176,6 +176,10 @@ static int take_next(etel_xy_switching_t *axis, int way, motion *m, sgms_real *f
 {
     const int is_early = etel_xy_switching_due(axis) == 0 &&
         etel_xy_switching_feedback(axis) == ETEL_XY_SWITCHING_EARLY;
+    if (way == BY_SAMPLE) {
+        etel_xy_switching_ahead(axis, selftest_set_velocity[(m->sample - 1) / SAMPLES % 2 == 0 ? 1
+            : 0], SELFTEST_SET_ACCELERATION);
+    }
     *force = take(axis, way, m, motion_position(m), measured_force(m));
     return is_early && is_force(*force) &&
            is_near(etel_xy_switching_share(axis),
@@ -204,8 +208,14 @@ static int start_second(etel_xy_switching_t *axis)
 static int starts_nominal(const etel_xy_switching_t *axis)
 {
     etel_xy_switching_saved_t saved;
+    etel_xy_switching_estimate_t e;
+    etel_xy_switching_estimate(axis, &e);
     int good = etel_xy_switching_save(axis, &saved) == ETEL_XY_SWITCHING_OK &&
-        is_near(saved.ratio, 1.0, 0.0);
+        is_near(saved.ratio, 1.0, 0.0) && e.status == ETEL_XY_SWITCHING_FILLING;
+    good = good && is_near(e.friction, 0.0, 0.0) && is_near(e.friction_measured, 0.0, 0.0) &&
+        is_near(e.innovation, 0.0, 0.0);
+    good = good && is_near(e.test_ratio, 0.0, 0.0) && is_near(e.noise_scale, 1.0, 0.0) &&
+        e.update == 0u && e.age == 0u && e.numeric == 0;
     for (int p = 0, at = 0; p < PARAMETERS; at += PARAMETERS - p, p++) {
         const sgms_real inverse = 1.0 / axis->settings.parameter[p];
         good = good && is_near(saved.theta[p], 1.0, 0.0) &&
@@ -280,7 +290,9 @@ static int sets_what_is(etel_xy_switching_t *axis, int way)
     int good = 1;
     etel_xy_switching_estimate(axis, &e);
     for (int p = 0; p < PARAMETERS && way != BY_TICK; p++) {
-        axis->parameters.theta[p] = not_a_number();
+        for (int q = 0; q < PARAMETERS; q++) {
+            axis->parameters.theta[q] = not_a_number();
+        }
         axis->interval.net = 7.0;
         spoil_means(axis);
         if (way == BY_SAMPLE) {
@@ -301,7 +313,7 @@ static int run_along(etel_xy_switching_t *axis, motion *m, int way)
 {
     const int is_first = way == BY_TICK, updates = is_first ? SELFTEST_UPDATES : SELFTEST_SECOND;
     sgms_real force;
-    int good, taken = 0;
+    int good, taken = 0, shifts = 0, moved = 0;
     start_motion(m);
     fill_bytes((unsigned char *)axis, sizeof *axis, 0x7f);
     etel_xy_switching_init(axis);
@@ -318,6 +330,8 @@ static int run_along(etel_xy_switching_t *axis, motion *m, int way)
         const sgms_real *const forces = is_first ? selftest_first_force : way == BY_SAMPLE
             ? selftest_second_force : selftest_second_inserted;
         for (; taken < SAMPLES; taken++) {
+            /* tick() works between updates */
+            good = (!is_first || taken < SAMPLES - 1 || axis->sweep.cursor > 0) && good;
             good = take_next(axis, way, m, &force) && good;
         }
         if (!is_first) {
@@ -327,12 +341,20 @@ static int run_along(etel_xy_switching_t *axis, motion *m, int way)
             etel_xy_switching_prepare(axis);
         }
         good = is_expected(axis, expected, status, update) && good;
+        if (is_first && update >= HORIZON) { /* what leaves a full window waits for its drift */
+            shifts = shifts % DRIFT_INTERVAL + 1;
+            moved = (shifts > 1 ? moved : 0) + ((selftest_first_status[update - HORIZON] &
+                ETEL_XY_SWITCHING_HOLD) == 0 ? 1 : 0);
+        }
+        good = (!is_first || (axis->sweep.shifts == shifts &&
+            axis->sweep.pending_drift == moved)) && good;
         taken = 0;
         if (!is_first) { /* of which the next sample's force tells */
             good = take_next(axis, way, m, &force) && good;
             taken = 1;
         }
-        if (!good || !is_near(force, forces[update - 1], SELFTEST_AHEAD * SELFTEST_LARGEST)) {
+        if (!good || !is_near(force, forces[update - 1],
+            (way == BY_SAMPLE ? SELFTEST_AHEAD : SELFTEST_UNSET) * SELFTEST_LARGEST)) {
             return update;
         }
     }
@@ -340,7 +362,8 @@ static int run_along(etel_xy_switching_t *axis, motion *m, int way)
 }
 
 /* The functions that the estimator takes from its headers, once more as they are compiled here: log
- * undoes exp, on both sides of zero, near and far, to the last digits. */
+ * undoes exp, on both sides of zero, near and far, to the last digits; a column is reflected onto
+ * its first number, zeros stay, and what is no number is not lost. */
 static int computes_functions(void)
 {
     int good = 1;
@@ -350,6 +373,20 @@ static int computes_functions(void)
         good = is_near(sgms_log(sgms_exp(x)), x, most) && good;
         good = is_near(sgms_exp(x) * sgms_exp(-x), 1.0, most) && good;
         good = sgms_same_sign(x, x) != 0 && good;
+        good = is_near(sgms_exp(x) * sgms_inverse_sqrt(sgms_exp(x)) *
+            sgms_inverse_sqrt(sgms_exp(x)), 1.0, 8.0 * SGMS_EPSILON) && good;
+    }
+    {
+        sgms_real column[2] = { 3.0, 4.0 }, zeros[2] = { 0.0, 0.0 },
+            none[2] = { 1.0, not_a_number() }, row[2] = { 0.0, 5.0 }, reflector[1];
+        sgms_qr(column, 2, 1, 1, 1, reflector);
+        sgms_qr(zeros, 2, 1, 1, 1, reflector);
+        sgms_qr(none, 2, 1, 1, 1, reflector);
+        good = is_near(sgms_fabs(column[0]), 5.0, 8.0 * SGMS_EPSILON) &&
+            is_near(column[1], 0.0, 0.0) && good;
+        good = !is_near(none[1], none[1], 0.0) && good;
+        sgms_qr_add_row(zeros, 1, row);
+        good = is_near(zeros[0], 0.0, 0.0) && is_near(zeros[1], 0.0, 0.0) && good;
     }
     return good;
 }
@@ -546,8 +583,9 @@ static int keeps_what_was_learned(
         good = good && is_near(loaded.parameter[p], learned.parameter[p], 0.0);
         good = good && is_near(after * after, variance, SELFTEST_COARSE * variance);
     }
-    return good && is_settled(axis) && is_near(axis->innovations.ratio_slow, saved.ratio, 0.0) &&
-        loaded.status == ETEL_XY_SWITCHING_FILLING && loaded.update == 0u;
+    good = good && is_settled(axis) && is_near(axis->innovations.ratio_slow, saved.ratio, 0.0) &&
+        is_near(axis->estimate.ratio, saved.ratio, 0.0);
+    return good && loaded.status == ETEL_XY_SWITCHING_FILLING && loaded.update == 0u;
 }
 
 /* A held parameter stays while others learn; a released one is as uncertain as at the start; a set
@@ -582,6 +620,9 @@ static int obeys_settings(
             from + (axis->settings.upper[p] - 1.0) * unit, 0.1 * unit) == ETEL_XY_SWITCHING_OK &&
             good;
     }
+    for (int other = 0; other < p; other++) {
+        axis->estimate.spread[other] = 2.0;
+    }
     etel_xy_switching_estimate(axis, &before);
     good = etel_xy_switching_set_parameter(axis, p, to, 0.1 * unit) == ETEL_XY_SWITCHING_OK && good;
     etel_xy_switching_estimate(axis, &e);
@@ -589,8 +630,12 @@ static int obeys_settings(
     good = good && is_near(e.deviation[p], 0.1 * unit, SELFTEST_COARSE * unit);
     for (int other = 0; other < p; other++) {
         good = good && is_near(e.parameter[other], before.parameter[other], 0.0);
-        good = good && is_near(e.deviation[other], before.deviation[other],
-            SELFTEST_COARSE * before.deviation[other]);
+        /* no less certain than that */
+        const sgms_real prior =
+            axis->settings.parameter[other] * nominal->deviation[other] / prior_sd[other];
+        const sgms_real stated = sgms_fmin(
+            before.deviation[other], sgms_fmax(prior, before.deviation[other] / sgms_sqrt(2.0)));
+        good = good && is_near(e.deviation[other], stated, SELFTEST_COARSE * stated);
     }
     good = good && etel_xy_switching_set_parameter(axis, p, from, -0.1 * unit) ==
         ETEL_XY_SWITCHING_REFUSED;
@@ -609,6 +654,46 @@ static int obeys_settings(
     return good && is_settled(axis) && is_near(e.parameter[p], to, SELFTEST_COARSE * unit);
 }
 
+/* Over so many intervals of motion variances grow by as many of the drift's: as if parameters had
+ * been so much less certain. */
+static int obeys_drift(
+    etel_xy_switching_t *axis, motion *m, const etel_xy_switching_estimate_t *nominal)
+{
+    etel_xy_switching_settings_t settings;
+    etel_xy_switching_estimate_t e[2];
+    sgms_real force;
+    int good = 1;
+    etel_xy_switching_settings(&settings);
+    for (int p = 0; p < PARAMETERS; p++) {
+        settings.drift[p] =
+            settings.parameter[p] * (1.0 + SELFTEST_OTHER * (sgms_real)p) * (0.1 / DRIFT_INTERVAL);
+    }
+    for (int twin = 0; twin < 2; twin++) {
+        good = etel_xy_switching_init_with(axis, &settings) == ETEL_XY_SWITCHING_OK && good;
+        start_motion(m);
+        good = go_along(axis, BY_SAMPLE, m, 1, &force) && good;
+        for (int p = 0; p < PARAMETERS; p++) {
+            const sgms_real known = 0.1 * settings.parameter[p],
+                grown = (sgms_real)(twin * DRIFT_INTERVAL) * settings.drift[p] * settings.drift[p];
+            const sgms_real deviation =
+                sgms_sqrt(known * known + grown) * nominal->deviation[p] / prior_sd[p];
+            good = etel_xy_switching_set_parameter(axis, p, nominal->parameter[p], deviation) ==
+                ETEL_XY_SWITCHING_OK && good;
+        }
+        good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && good;
+        axis->sweep.shifts = twin == 0 ? DRIFT_INTERVAL : 0;
+        axis->sweep.pending_drift = axis->sweep.shifts;
+        good = etel_xy_switching_feedback(axis) >= 0 && axis->sweep.shifts == 0 &&
+            axis->sweep.pending_drift == 0 && good;
+        etel_xy_switching_estimate(axis, &e[twin]);
+    }
+    for (int p = 0; p < PARAMETERS; p++) {
+        good = good && is_near(e[0].deviation[p], e[1].deviation[p],
+            SELFTEST_COARSE * e[1].deviation[p]);
+    }
+    return good;
+}
+
 /* After a reset the window is empty, and what was learned is there. */
 static int keeps_over_reset(etel_xy_switching_t *axis)
 {
@@ -618,6 +703,7 @@ static int keeps_over_reset(etel_xy_switching_t *axis)
         axis->parameters.theta[p] = not_a_number();
     }
     spoil_means(axis);
+    etel_xy_switching_ahead(axis, MAX_VELOCITY, 0.0);
     etel_xy_switching_reset(axis);
     etel_xy_switching_estimate(axis, &after);
     int good = after.status == ETEL_XY_SWITCHING_FILLING && !etel_xy_switching_due(axis) &&
@@ -649,11 +735,20 @@ static int refuses_settings(etel_xy_switching_t *axis)
     settings.lower[0] = 1.5;
     good = etel_xy_switching_init_with(axis, &settings) == ETEL_XY_SWITCHING_REFUSED && good;
     for (int p = 0; p < PARAMETERS; p++) {
-        etel_xy_switching_settings(&settings);
+        fill_bytes((unsigned char *)&settings, sizeof settings, 0x7f);
+        etel_xy_switching_settings(&settings); /* the machine file's */
+        good = is_near(settings.parameter[p], prior_sd[p], 0.0) &&
+            is_near(settings.pause[p], pause_sd[p], 0.0) && good;
+        good = is_near(settings.drift[p], drift_sd[p], 0.0) && good;
+        good = is_near(settings.lower[p], lower_bound[p], 0.0) &&
+            is_near(settings.upper[p], upper_bound[p], 0.0) && good;
         settings.pause[p] = -1.0;
         good = etel_xy_switching_init_with(axis, &settings) == ETEL_XY_SWITCHING_REFUSED && good;
         settings.pause[p] = 0.0; /* it may be known to change nothing */
         good = etel_xy_switching_init_with(axis, &settings) == ETEL_XY_SWITCHING_OK && good;
+        settings.drift[p] = -1.0;
+        good = etel_xy_switching_init_with(axis, &settings) == ETEL_XY_SWITCHING_REFUSED && good;
+        settings.drift[p] = drift_sd[p];
         settings.parameter[p] = 0.0;
         good = etel_xy_switching_init_with(axis, &settings) == ETEL_XY_SWITCHING_REFUSED && good;
     }
@@ -752,7 +847,30 @@ static int measures_friction(etel_xy_switching_t *axis)
         position += velocity;
     }
     etel_xy_switching_estimate(axis, &e);
-    return good && is_near(e.friction_measured, friction, 1e-3 * force);
+    good = good && is_near(e.friction_measured, friction, 1e-3 * force);
+    /* and the filters settle anew */
+    return etel_xy_switching_set_mass(axis, MASS) == ETEL_XY_SWITCHING_OK && good &&
+        axis->chain.counts[2] == 0;
+}
+
+/* Filters of an axis that comes to rest end at zero; no signal is as small. Of a new axis nothing
+ * has been measured. */
+static int drops_rest(etel_xy_switching_t *axis)
+{
+    const etel_xy_switching_signals none = { 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0 };
+    int good = 1;
+    etel_xy_switching_init(axis);
+    axis->interval.friction = 7.0;
+    axis->chain.last[1] = -0.5 * SGMS_REST;
+    for (int i = 0; i < SGMS_FILTER_STATES; i++) {
+        axis->chain.lowpass[i] = (i % 2 == 0 ? -0.5 : 2.0) * SGMS_REST;
+    }
+    (void)etel_xy_switching_insert(axis, &none);
+    for (int i = 0; i < SGMS_FILTER_STATES; i++) {
+        good = is_near(axis->chain.lowpass[i], i % 2 == 0 ? 0.0 : 2.0 * SGMS_REST, 0.0) && good;
+    }
+    return good && is_near(axis->chain.last[1], 0.0, 0.0) &&
+        is_near(axis->interval.friction, 0.0, 0.0);
 }
 
 /* An interval of signals from a chain of the controller's own. Status of its update, or EARLY. */
@@ -802,9 +920,12 @@ static int says_status(etel_xy_switching_t *axis)
     int status, good;
     etel_xy_switching_init(axis);
     etel_xy_switching_compensate(axis, 1);
+    signals.velocity = not_a_number(); /* the last signals hold */
     (void)etel_xy_switching_insert(axis, &signals);
+    good = is_near(axis->input.signal[W_VELOCITY], 0.0, 0.0);
+    signals.velocity = 0.0;
     good = (insert_interval(axis, &signals, &force) & (flags & ~ETEL_XY_SWITCHING_DOUBT)) ==
-        ETEL_XY_SWITCHING_HOLD;
+        ETEL_XY_SWITCHING_HOLD && good;
     signals.velocity = 0.5 * MAX_VELOCITY;
     signals.friction = SELFTEST_LARGEST;
     status = insert_interval(axis, &signals, &force);
@@ -969,6 +1090,8 @@ static int survives_damage(etel_xy_switching_t *axis, motion *m, int way)
     good = good && is_settled(axis) && have_begun(axis) &&
         after.status == ETEL_XY_SWITCHING_NUMERIC && after.numeric == 7 &&
         after.update == before.update && after.age == (uint32_t)SAMPLES;
+    good = good && is_near(after.innovation, 0.0, 0.0) && is_near(after.test_ratio, 0.0, 0.0) &&
+        is_near(after.noise_scale, 1.0, 0.0);
     for (int p = 0; p < PARAMETERS; p++) {
         good = good && is_near(after.parameter[p], before.parameter[p], 0.0);
         good = good && is_near(after.deviation[p], before.deviation[p], 0.0);
@@ -1023,9 +1146,12 @@ static int tells_miscounting(etel_xy_switching_t *axis, motion *m)
     return good && status >= 0 && (status & ETEL_XY_SWITCHING_OVERRUN) == 0;
 }
 
-/* An interval counts as motion from HOLD_PATH on, travelled or away from where one last did. */
+/* An interval counts as motion from HOLD_PATH on, travelled or away from where one last did, in
+ * many slow intervals too. */
 static int counts_motion(etel_xy_switching_t *axis, motion *m)
 {
+    etel_xy_switching_signals slow =
+        { 0.0, -0.3 * HOLD_PATH / (SAMPLES * SAMPLE_TIME), 0.0, 0.0, 0.0, 0, 0.0 };
     sgms_real force = 0.0;
     int good = start_moving(axis, BY_SAMPLE, m);
     for (int k = 0; k < 4; k++) {
@@ -1036,11 +1162,16 @@ static int counts_motion(etel_xy_switching_t *axis, motion *m)
         good = good && (etel_xy_switching_feedback(axis) & ETEL_XY_SWITCHING_HOLD) ==
             (k % 2 == 0 ? 0 : ETEL_XY_SWITCHING_HOLD);
     }
+    axis->interval.net = 0.0;
+    for (int k = 0; k < 5; k++) { /* the fourth one has come far enough */
+        good = (insert_interval(axis, &slow, &force) & ETEL_XY_SWITCHING_HOLD) ==
+            (k == 3 ? 0 : ETEL_XY_SWITCHING_HOLD) && good;
+    }
     return good;
 }
 
 /* With any of the means another one that tell of errors of the model that stay, the factors on
- * variances are those last stated. */
+ * variances are those last stated; otherwise not. */
 static int keeps_spread(etel_xy_switching_t *axis, motion *m)
 {
     sgms_real force = 0.0;
@@ -1049,15 +1180,18 @@ static int keeps_spread(etel_xy_switching_t *axis, motion *m)
         6] = { &axis->lasting.squares,  &axis->lasting.information, axis->lasting.theta,
                                  axis->lasting.variance, axis->lasting.moved,
                                  axis->lasting.taken };
-    for (int k = 0; k < 6; k++) {
+    for (int k = -1; k < 6; k++) {
         for (int p = 0; p < PARAMETERS; p++) {
             axis->estimate.spread[p] = 3.0 + (sgms_real)(k + p);
         }
-        *mean[k] = *mean[k] * 16.0 + 1.0;
+        if (k >= 0) {
+            *mean[k] = *mean[k] * 16.0 + 1.0;
+        }
         good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) &&
             etel_xy_switching_feedback(axis) >= 0 && good;
         for (int p = 0; p < PARAMETERS; p++) {
-            good = good && is_near(axis->estimate.spread[p], 3.0 + (sgms_real)(k + p), 0.0);
+            good = good && is_near(axis->estimate.spread[p], 3.0 + (sgms_real)(k + p), 0.0) ==
+                (k >= 0);
         }
     }
     return good;
@@ -1146,13 +1280,14 @@ static int failed_check(etel_xy_switching_t *axis, motion *m, int way)
 static int failed_other(
     etel_xy_switching_t *axis, motion *m, const etel_xy_switching_estimate_t *nominal)
 {
-    if (!obeys_settings(axis, m, nominal) || !keeps_over_reset(axis) || !refuses_settings(axis)) {
+    if (!obeys_settings(axis, m, nominal) || !obeys_drift(axis, m, nominal) ||
+        !keeps_over_reset(axis) || !refuses_settings(axis)) {
         return 2;
     }
     if (!notices_gaps(axis, m)) {
         return 3;
     }
-    if (!measures_friction(axis)) {
+    if (!measures_friction(axis) || !drops_rest(axis)) {
         return 4;
     }
     if (!says_status(axis) || !has_texts()) {

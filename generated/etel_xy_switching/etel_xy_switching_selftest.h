@@ -12,9 +12,9 @@
  *  1  save() writes what was learned, load() takes that and nothing else, on each of these ways:
  *     keeps_what_was_learned().
  *  2  Settings, held and set parameters are obeyed, kept over reset(), or refused:
- *     obeys_settings(), keeps_over_reset(), refuses_settings().
+ *     obeys_settings(), obeys_drift(), keeps_over_reset(), refuses_settings().
  *  3  Signals that are missing or absurd are left out, and said: notices_gaps().
- *  4  Measured friction is that of mechanics: measures_friction().
+ *  4  Measured friction is that of mechanics: measures_friction(), drops_rest().
  *  5  Each status is said where its reason is there, and has a text: says_status(), has_texts().
  *  6  The force follows the set-point, turns on and off, within its limit: limits_force().
  *  7  Lost intervals and calls inside of others are said, and the force fades:
@@ -57,15 +57,20 @@ enum {
 #define SELFTEST_TOLERANCE 2e-07 /* relative, of friction and parameters */
 #define SELFTEST_COARSE 2e-06 /* of deviations and readings */
 #define SELFTEST_AHEAD 0.001 /* of the force, which is carried on by other steps */
+#define SELFTEST_UNSET 0.001 /* of that without a set-point */
 #define SELFTEST_LARGEST 2.403702705005899 /* N, friction */
 #define SELFTEST_FARTHEST 0.00018434071754143245 /* m, deflection */
 #define SELFTEST_UNIT 1e-07 /* N, of the motion's friction */
+#define SELFTEST_SET_ACCELERATION 0.2 /* m/s/s, of the second run's set-points */
 #define SELFTEST_RAMP 1.0 /* of the force, per sample */
 #define SELFTEST_LAG 0.0 /* s, of the signal chain, for effects in time */
 /* growth of the second run's settings from one state, and one parameter, to the next */
 #define SELFTEST_OTHER 0.25
 #define SELFTEST_BOUND 0.03 /* over nominal, of the second run */
 #define SELFTEST_VELOCITY 10.0 /* m/s, at which the model's force is beyond its limit; 0: at none */
+
+/* m/s, set-points after odd and after even updates of the second run by sample(). */
+static const sgms_real selftest_set_velocity[2] = {0.25, 0.0025};
 
 /* Samples, acceleration in pm per sample squared, rise of friction per sample. */
 static const int32_t selftest_segment[SELFTEST_SEGMENTS][3] = {
@@ -203,7 +208,7 @@ static const int32_t selftest_second_status[5] = {
     1, 3, 9, 9, 9};
 
 static const sgms_real selftest_second_force[5] = {
-    0.53913294, 0.4838264, -0.45656672, 0.41081975, 0.92231183};
+    5.5231739, 0.54571582, 4.5578474, 0.41163206, 5.9155135};
 
 static const sgms_real selftest_second_inserted[5] = {
     0.50581211, 0.567985, -0.42527685, 0.31281341, 0.91164421};

@@ -130,8 +130,8 @@ typedef struct {
     sgms_lowpass lowpass;
     sgms_real rate;     /* Hz */
     sgms_position step; /* of the encoder; 0: a reading is where the axis is */
-    int32_t settle; /* samples that a disturbance of the filters lasts */
-    int wanted;     /* signals to compute */
+    int32_t settle;     /* samples that a disturbance of the filters lasts */
+    int wanted;         /* signals to compute */
 } sgms_chain;
 
 /* Memory of the chain. Plain arrays, which the public header of a package declares without this. */
@@ -163,16 +163,14 @@ static inline sgms_position sgms_axis_at(
 }
 
 /* Take in what a sample disturbs: a channel's first good value, a gap that is filled, filters that
- * have not settled. `rest` is the state of the filters of a force that has always been there.
- * Returns whether friction may be used. */
-static SGMS_COLD int sgms_filter_disturbed(
+ * have not settled. `rest` is the state of the filters of a force that has always been there. */
+static SGMS_COLD void sgms_filter_disturbed(
     const sgms_chain *chain, const sgms_filter_memory *m, sgms_real *rest, sgms_position *position,
     sgms_real *force)
 {
     const sgms_lowpass *const filter = &chain->lowpass;
     const int position_good = sgms_position_is_good(*position);
     const int force_good = sgms_is_reading(*force);
-    int valid = 0;
     /* Bits that have flipped in memory are no channels. */
     m->counts[0] &= 3;
     if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
@@ -212,12 +210,9 @@ static SGMS_COLD int sgms_filter_disturbed(
     }
     if (!position_good || !force_good) { /* where both are, both channels have been seen */
         m->counts[2] = 0;
-    } else if (m->counts[2] < chain->settle) {
-        m->counts[2] = sgms_place(m->counts[2], chain->settle - 1) + 1;
     } else {
-        valid = 1;
+        m->counts[2] = sgms_place(m->counts[2], chain->settle - 1) + 1;
     }
-    return valid;
 }
 
 /* One sample through the chain. */
@@ -242,7 +237,8 @@ static inline sgms_aligned sgms_filter_step(
         m->position[1] = sgms_position_difference(position, m->position[0]);
         out.valid = 1;
     } else {
-        out.valid = sgms_filter_disturbed(chain, m, apart ? f + 8 : f + 4, &position, &force);
+        out.valid = 0;
+        sgms_filter_disturbed(chain, m, apart ? f + 8 : f + 4, &position, &force);
     }
     m->position[0] = position;
     m->last[0] = force;

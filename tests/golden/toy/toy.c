@@ -509,16 +509,6 @@ static void start_row(const toy_t *self, int slot, sgms_real *row)
     }
 }
 
-/* Return whether any parameter walks. */
-static int walks(const toy_settings_t *settings)
-{
-    sgms_real largest = 0.0;
-    for (int p = 0; p < PARAMETERS; p++) {
-        largest = sgms_fmax(largest, settings->drift[p]);
-    }
-    return largest > 0.0;
-}
-
 /* Let theta walk over so many intervals: its covariance in the factor grows, but never beyond the
  * prior's. */
 static void add_drift(const toy_t *self, sgms_real *factor, int intervals)
@@ -863,7 +853,7 @@ static int shift_window(toy_t *self, int *status)
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
     const bool is_full = older_intervals(self) == HORIZON - 1;
-    if (is_full && walks(&self->settings)) { /* otherwise nothing sets them back */
+    if (is_full) {
         self->sweep.shifts = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;
         self->sweep.pending_drift = sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL - 1) +
             (self->interval.moves[next] != 0u ? 1 : 0);
@@ -1029,7 +1019,6 @@ static void start_series(toy_t *self, bool measured, sgms_real friction)
     self->interval.started = STARTED;
     self->window.weight[slot] = measured ? 1.0 / self->settings.measurement : 0.0;
     self->window.friction[slot] = measured ? friction - output_apart(self->input.signal) : 0.0;
-    self->interval.is_valid = 0;
     self->interval.friction = 0.0;
 }
 

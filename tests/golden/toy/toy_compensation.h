@@ -122,11 +122,8 @@ static void follow_lag(toy_t *self)
 /* Nothing fed forward, nothing moved. */
 static void start_compensation(toy_t *self)
 {
-    fill(self->compensation.ahead, 0.0, 2);
-    self->compensation.lag = 0.0;
     self->compensation.gain = 0.0;
     self->compensation.ahead_given = 0;
-    self->compensation.through_chain = 0;
 }
 
 static course course_ahead(const toy_t *self)

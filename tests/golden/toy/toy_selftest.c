@@ -173,6 +173,10 @@ static sgms_real take(toy_t *axis, int way, motion *m, toy_position position, sg
 static int take_next(toy_t *axis, int way, motion *m, sgms_real *force)
 {
     const int is_early = toy_due(axis) == 0 && toy_feedback(axis) == TOY_EARLY;
+    if (way == BY_SAMPLE) {
+        toy_ahead(axis, selftest_set_velocity[(m->sample - 1) / SAMPLES % 2 == 0 ? 1 : 0],
+            SELFTEST_SET_ACCELERATION);
+    }
     *force = take(axis, way, m, motion_position(m), measured_force(m));
     return is_early && is_force(*force) &&
            is_near(toy_share(axis), sgms_fmin(1.0, (sgms_real)m->sample * SELFTEST_RAMP),
@@ -201,7 +205,14 @@ static int start_second(toy_t *axis)
 static int starts_nominal(const toy_t *axis)
 {
     toy_saved_t saved;
-    int good = toy_save(axis, &saved) == TOY_OK && is_near(saved.ratio, 1.0, 0.0);
+    toy_estimate_t e;
+    toy_estimate(axis, &e);
+    int good = toy_save(axis, &saved) == TOY_OK && is_near(saved.ratio, 1.0, 0.0) &&
+        e.status == TOY_FILLING;
+    good = good && is_near(e.friction, 0.0, 0.0) && is_near(e.friction_measured, 0.0, 0.0) &&
+        is_near(e.innovation, 0.0, 0.0);
+    good = good && is_near(e.test_ratio, 0.0, 0.0) && is_near(e.noise_scale, 1.0, 0.0) &&
+        e.update == 0u && e.age == 0u && e.numeric == 0;
     for (int p = 0, at = 0; p < PARAMETERS; at += PARAMETERS - p, p++) {
         const sgms_real inverse = 1.0 / axis->settings.parameter[p];
         good = good && is_near(saved.theta[p], 1.0, 0.0) &&
@@ -275,7 +286,9 @@ static int sets_what_is(toy_t *axis, int way)
     int good = 1;
     toy_estimate(axis, &e);
     for (int p = 0; p < PARAMETERS && way != BY_TICK; p++) {
-        axis->parameters.theta[p] = not_a_number();
+        for (int q = 0; q < PARAMETERS; q++) {
+            axis->parameters.theta[q] = not_a_number();
+        }
         axis->interval.net = 7.0;
         spoil_means(axis);
         if (way == BY_SAMPLE) {
@@ -294,7 +307,7 @@ static int run_along(toy_t *axis, motion *m, int way)
 {
     const int is_first = way == BY_TICK, updates = is_first ? SELFTEST_UPDATES : SELFTEST_SECOND;
     sgms_real force;
-    int good, taken = 0;
+    int good, taken = 0, shifts = 0, moved = 0;
     start_motion(m);
     fill_bytes((unsigned char *)axis, sizeof *axis, 0x7f);
     toy_init(axis);
@@ -311,6 +324,8 @@ static int run_along(toy_t *axis, motion *m, int way)
         const sgms_real *const forces = is_first ? selftest_first_force : way == BY_SAMPLE
             ? selftest_second_force : selftest_second_inserted;
         for (; taken < SAMPLES; taken++) {
+            /* tick() works between updates */
+            good = (!is_first || taken < SAMPLES - 1 || axis->sweep.cursor > 0) && good;
             good = take_next(axis, way, m, &force) && good;
         }
         if (!is_first) {
@@ -319,12 +334,20 @@ static int run_along(toy_t *axis, motion *m, int way)
             toy_prepare(axis);
         }
         good = is_expected(axis, expected, status, update) && good;
+        if (is_first && update >= HORIZON) { /* what leaves a full window waits for its drift */
+            shifts = shifts % DRIFT_INTERVAL + 1;
+            moved = (shifts > 1 ? moved : 0) + ((selftest_first_status[update - HORIZON] &
+                TOY_HOLD) == 0 ? 1 : 0);
+        }
+        good = (!is_first || (axis->sweep.shifts == shifts &&
+            axis->sweep.pending_drift == moved)) && good;
         taken = 0;
         if (!is_first) { /* of which the next sample's force tells */
             good = take_next(axis, way, m, &force) && good;
             taken = 1;
         }
-        if (!good || !is_near(force, forces[update - 1], SELFTEST_AHEAD * SELFTEST_LARGEST)) {
+        if (!good || !is_near(force, forces[update - 1],
+            (way == BY_SAMPLE ? SELFTEST_AHEAD : SELFTEST_UNSET) * SELFTEST_LARGEST)) {
             return update;
         }
     }
@@ -332,7 +355,8 @@ static int run_along(toy_t *axis, motion *m, int way)
 }
 
 /* The functions that the estimator takes from its headers, once more as they are compiled here: log
- * undoes exp, on both sides of zero, near and far, to the last digits. */
+ * undoes exp, on both sides of zero, near and far, to the last digits; a column is reflected onto
+ * its first number, zeros stay, and what is no number is not lost. */
 static int computes_functions(void)
 {
     int good = 1;
@@ -342,6 +366,20 @@ static int computes_functions(void)
         good = is_near(sgms_log(sgms_exp(x)), x, most) && good;
         good = is_near(sgms_exp(x) * sgms_exp(-x), 1.0, most) && good;
         good = sgms_same_sign(x, x) != 0 && good;
+        good = is_near(sgms_exp(x) * sgms_inverse_sqrt(sgms_exp(x)) *
+            sgms_inverse_sqrt(sgms_exp(x)), 1.0, 8.0 * SGMS_EPSILON) && good;
+    }
+    {
+        sgms_real column[2] = { 3.0, 4.0 }, zeros[2] = { 0.0, 0.0 },
+            none[2] = { 1.0, not_a_number() }, row[2] = { 0.0, 5.0 }, reflector[1];
+        sgms_qr(column, 2, 1, 1, 1, reflector);
+        sgms_qr(zeros, 2, 1, 1, 1, reflector);
+        sgms_qr(none, 2, 1, 1, 1, reflector);
+        good = is_near(sgms_fabs(column[0]), 5.0, 8.0 * SGMS_EPSILON) &&
+            is_near(column[1], 0.0, 0.0) && good;
+        good = !is_near(none[1], none[1], 0.0) && good;
+        sgms_qr_add_row(zeros, 1, row);
+        good = is_near(zeros[0], 0.0, 0.0) && is_near(zeros[1], 0.0, 0.0) && good;
     }
     return good;
 }
@@ -532,8 +570,9 @@ static int keeps_what_was_learned(toy_t *axis, const toy_estimate_t *nominal)
         good = good && is_near(loaded.parameter[p], learned.parameter[p], 0.0);
         good = good && is_near(after * after, variance, SELFTEST_COARSE * variance);
     }
-    return good && is_settled(axis) && is_near(axis->innovations.ratio_slow, saved.ratio, 0.0) &&
-        loaded.status == TOY_FILLING && loaded.update == 0u;
+    good = good && is_settled(axis) && is_near(axis->innovations.ratio_slow, saved.ratio, 0.0) &&
+        is_near(axis->estimate.ratio, saved.ratio, 0.0);
+    return good && loaded.status == TOY_FILLING && loaded.update == 0u;
 }
 
 /* A held parameter stays while others learn; a released one is as uncertain as at the start; a set
@@ -565,6 +604,9 @@ static int obeys_settings(toy_t *axis, motion *m, const toy_estimate_t *nominal)
         good = toy_set_parameter(
             axis, p, from + (axis->settings.upper[p] - 1.0) * unit, 0.1 * unit) == TOY_OK && good;
     }
+    for (int other = 0; other < p; other++) {
+        axis->estimate.spread[other] = 2.0;
+    }
     toy_estimate(axis, &before);
     good = toy_set_parameter(axis, p, to, 0.1 * unit) == TOY_OK && good;
     toy_estimate(axis, &e);
@@ -572,8 +614,12 @@ static int obeys_settings(toy_t *axis, motion *m, const toy_estimate_t *nominal)
     good = good && is_near(e.deviation[p], 0.1 * unit, SELFTEST_COARSE * unit);
     for (int other = 0; other < p; other++) {
         good = good && is_near(e.parameter[other], before.parameter[other], 0.0);
-        good = good && is_near(e.deviation[other], before.deviation[other],
-            SELFTEST_COARSE * before.deviation[other]);
+        /* no less certain than that */
+        const sgms_real prior =
+            axis->settings.parameter[other] * nominal->deviation[other] / prior_sd[other];
+        const sgms_real stated = sgms_fmin(
+            before.deviation[other], sgms_fmax(prior, before.deviation[other] / sgms_sqrt(2.0)));
+        good = good && is_near(e.deviation[other], stated, SELFTEST_COARSE * stated);
     }
     good = good && toy_set_parameter(axis, p, from, -0.1 * unit) == TOY_REFUSED;
     good = good && toy_set_parameter(axis, p, not_a_number(), 0.1 * unit) == TOY_REFUSED;
@@ -588,6 +634,44 @@ static int obeys_settings(toy_t *axis, motion *m, const toy_estimate_t *nominal)
     return good && is_settled(axis) && is_near(e.parameter[p], to, SELFTEST_COARSE * unit);
 }
 
+/* Over so many intervals of motion variances grow by as many of the drift's: as if parameters had
+ * been so much less certain. */
+static int obeys_drift(toy_t *axis, motion *m, const toy_estimate_t *nominal)
+{
+    toy_settings_t settings;
+    toy_estimate_t e[2];
+    sgms_real force;
+    int good = 1;
+    toy_settings(&settings);
+    for (int p = 0; p < PARAMETERS; p++) {
+        settings.drift[p] =
+            settings.parameter[p] * (1.0 + SELFTEST_OTHER * (sgms_real)p) * (0.1 / DRIFT_INTERVAL);
+    }
+    for (int twin = 0; twin < 2; twin++) {
+        good = toy_init_with(axis, &settings) == TOY_OK && good;
+        start_motion(m);
+        good = go_along(axis, BY_SAMPLE, m, 1, &force) && good;
+        for (int p = 0; p < PARAMETERS; p++) {
+            const sgms_real known = 0.1 * settings.parameter[p],
+                grown = (sgms_real)(twin * DRIFT_INTERVAL) * settings.drift[p] * settings.drift[p];
+            const sgms_real deviation =
+                sgms_sqrt(known * known + grown) * nominal->deviation[p] / prior_sd[p];
+            good = toy_set_parameter(axis, p, nominal->parameter[p], deviation) == TOY_OK && good;
+        }
+        good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && good;
+        axis->sweep.shifts = twin == 0 ? DRIFT_INTERVAL : 0;
+        axis->sweep.pending_drift = axis->sweep.shifts;
+        good = toy_feedback(axis) >= 0 && axis->sweep.shifts == 0 &&
+            axis->sweep.pending_drift == 0 && good;
+        toy_estimate(axis, &e[twin]);
+    }
+    for (int p = 0; p < PARAMETERS; p++) {
+        good = good && is_near(e[0].deviation[p], e[1].deviation[p],
+            SELFTEST_COARSE * e[1].deviation[p]);
+    }
+    return good;
+}
+
 /* After a reset the window is empty, and what was learned is there. */
 static int keeps_over_reset(toy_t *axis)
 {
@@ -597,6 +681,7 @@ static int keeps_over_reset(toy_t *axis)
         axis->parameters.theta[p] = not_a_number();
     }
     spoil_means(axis);
+    toy_ahead(axis, MAX_VELOCITY, 0.0);
     toy_reset(axis);
     toy_estimate(axis, &after);
     int good = after.status == TOY_FILLING && !toy_due(axis) && axis->compensation.ahead_given == 0;
@@ -627,11 +712,20 @@ static int refuses_settings(toy_t *axis)
     settings.lower[0] = 1.5;
     good = toy_init_with(axis, &settings) == TOY_REFUSED && good;
     for (int p = 0; p < PARAMETERS; p++) {
-        toy_settings(&settings);
+        fill_bytes((unsigned char *)&settings, sizeof settings, 0x7f);
+        toy_settings(&settings); /* the machine file's */
+        good = is_near(settings.parameter[p], prior_sd[p], 0.0) &&
+            is_near(settings.pause[p], pause_sd[p], 0.0) && good;
+        good = is_near(settings.drift[p], drift_sd[p], 0.0) && good;
+        good = is_near(settings.lower[p], lower_bound[p], 0.0) &&
+            is_near(settings.upper[p], upper_bound[p], 0.0) && good;
         settings.pause[p] = -1.0;
         good = toy_init_with(axis, &settings) == TOY_REFUSED && good;
         settings.pause[p] = 0.0; /* it may be known to change nothing */
         good = toy_init_with(axis, &settings) == TOY_OK && good;
+        settings.drift[p] = -1.0;
+        good = toy_init_with(axis, &settings) == TOY_REFUSED && good;
+        settings.drift[p] = drift_sd[p];
         settings.parameter[p] = 0.0;
         good = toy_init_with(axis, &settings) == TOY_REFUSED && good;
     }
@@ -725,7 +819,29 @@ static int measures_friction(toy_t *axis)
         position += velocity;
     }
     toy_estimate(axis, &e);
-    return good && is_near(e.friction_measured, friction, 1e-3 * force);
+    good = good && is_near(e.friction_measured, friction, 1e-3 * force);
+    /* and the filters settle anew */
+    return toy_set_mass(axis, MASS) == TOY_OK && good && axis->chain.counts[2] == 0;
+}
+
+/* Filters of an axis that comes to rest end at zero; no signal is as small. Of a new axis nothing
+ * has been measured. */
+static int drops_rest(toy_t *axis)
+{
+    const toy_signals none = { 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0 };
+    int good = 1;
+    toy_init(axis);
+    axis->interval.friction = 7.0;
+    axis->chain.last[1] = -0.5 * SGMS_REST;
+    for (int i = 0; i < SGMS_FILTER_STATES; i++) {
+        axis->chain.lowpass[i] = (i % 2 == 0 ? -0.5 : 2.0) * SGMS_REST;
+    }
+    (void)toy_insert(axis, &none);
+    for (int i = 0; i < SGMS_FILTER_STATES; i++) {
+        good = is_near(axis->chain.lowpass[i], i % 2 == 0 ? 0.0 : 2.0 * SGMS_REST, 0.0) && good;
+    }
+    return good && is_near(axis->chain.last[1], 0.0, 0.0) &&
+        is_near(axis->interval.friction, 0.0, 0.0);
 }
 
 /* An interval of signals from a chain of the controller's own. Status of its update, or EARLY. */
@@ -770,8 +886,11 @@ static int says_status(toy_t *axis)
     int status, good;
     toy_init(axis);
     toy_compensate(axis, 1);
+    signals.velocity = not_a_number(); /* the last signals hold */
     (void)toy_insert(axis, &signals);
-    good = (insert_interval(axis, &signals, &force) & (flags & ~TOY_DOUBT)) == TOY_HOLD;
+    good = is_near(axis->input.signal[W_VELOCITY], 0.0, 0.0);
+    signals.velocity = 0.0;
+    good = (insert_interval(axis, &signals, &force) & (flags & ~TOY_DOUBT)) == TOY_HOLD && good;
     signals.velocity = 0.5 * MAX_VELOCITY;
     signals.friction = SELFTEST_LARGEST;
     status = insert_interval(axis, &signals, &force);
@@ -917,6 +1036,8 @@ static int survives_damage(toy_t *axis, motion *m, int way)
     toy_estimate(axis, &after);
     good = good && is_settled(axis) && have_begun(axis) && after.status == TOY_NUMERIC &&
         after.numeric == 7 && after.update == before.update && after.age == (uint32_t)SAMPLES;
+    good = good && is_near(after.innovation, 0.0, 0.0) && is_near(after.test_ratio, 0.0, 0.0) &&
+        is_near(after.noise_scale, 1.0, 0.0);
     for (int p = 0; p < PARAMETERS; p++) {
         good = good && is_near(after.parameter[p], before.parameter[p], 0.0);
         good = good && is_near(after.deviation[p], before.deviation[p], 0.0);
@@ -970,9 +1091,11 @@ static int tells_miscounting(toy_t *axis, motion *m)
     return good && status >= 0 && (status & TOY_OVERRUN) == 0;
 }
 
-/* An interval counts as motion from HOLD_PATH on, travelled or away from where one last did. */
+/* An interval counts as motion from HOLD_PATH on, travelled or away from where one last did, in
+ * many slow intervals too. */
 static int counts_motion(toy_t *axis, motion *m)
 {
+    toy_signals slow = { 0.0, -0.3 * HOLD_PATH / (SAMPLES * SAMPLE_TIME), 0.0, 0.0, 0.0, 0, 0.0 };
     sgms_real force = 0.0;
     int good = start_moving(axis, BY_SAMPLE, m);
     for (int k = 0; k < 4; k++) {
@@ -982,11 +1105,15 @@ static int counts_motion(toy_t *axis, motion *m)
         axis->interval.net = k < 2 ? 0.0 : -part * HOLD_PATH;
         good = good && (toy_feedback(axis) & TOY_HOLD) == (k % 2 == 0 ? 0 : TOY_HOLD);
     }
+    axis->interval.net = 0.0;
+    for (int k = 0; k < 5; k++) { /* the fourth one has come far enough */
+        good = (insert_interval(axis, &slow, &force) & TOY_HOLD) == (k == 3 ? 0 : TOY_HOLD) && good;
+    }
     return good;
 }
 
 /* With any of the means another one that tell of errors of the model that stay, the factors on
- * variances are those last stated. */
+ * variances are those last stated; otherwise not. */
 static int keeps_spread(toy_t *axis, motion *m)
 {
     sgms_real force = 0.0;
@@ -995,14 +1122,17 @@ static int keeps_spread(toy_t *axis, motion *m)
         6] = { &axis->lasting.squares,  &axis->lasting.information, axis->lasting.theta,
                                  axis->lasting.variance, axis->lasting.moved,
                                  axis->lasting.taken };
-    for (int k = 0; k < 6; k++) {
+    for (int k = -1; k < 6; k++) {
         for (int p = 0; p < PARAMETERS; p++) {
             axis->estimate.spread[p] = 3.0 + (sgms_real)(k + p);
         }
-        *mean[k] = *mean[k] * 16.0 + 1.0;
+        if (k >= 0) {
+            *mean[k] = *mean[k] * 16.0 + 1.0;
+        }
         good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && toy_feedback(axis) >= 0 && good;
         for (int p = 0; p < PARAMETERS; p++) {
-            good = good && is_near(axis->estimate.spread[p], 3.0 + (sgms_real)(k + p), 0.0);
+            good = good && is_near(axis->estimate.spread[p], 3.0 + (sgms_real)(k + p), 0.0) ==
+                (k >= 0);
         }
     }
     return good;
@@ -1082,13 +1212,14 @@ static int failed_check(toy_t *axis, motion *m, int way)
 /* The same of the others; the axis is as the second run has left it. */
 static int failed_other(toy_t *axis, motion *m, const toy_estimate_t *nominal)
 {
-    if (!obeys_settings(axis, m, nominal) || !keeps_over_reset(axis) || !refuses_settings(axis)) {
+    if (!obeys_settings(axis, m, nominal) || !obeys_drift(axis, m, nominal) ||
+        !keeps_over_reset(axis) || !refuses_settings(axis)) {
         return 2;
     }
     if (!notices_gaps(axis, m)) {
         return 3;
     }
-    if (!measures_friction(axis)) {
+    if (!measures_friction(axis) || !drops_rest(axis)) {
         return 4;
     }
     if (!says_status(axis) || !has_texts()) {
