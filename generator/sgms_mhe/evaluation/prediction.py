@@ -16,9 +16,8 @@ from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import OF_KIND, Kind, Machine
 from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.chain import Signals, signals_from_log
-from sgms_mhe.signals.logs import Log, align_velocity
+from sgms_mhe.signals.logs import Log, align_velocity, write_columns
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.files import write_columns
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import OF_KIND, Kind
+from sgms_mhe.signals.logs import write_columns
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.files import write_columns
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 from sgms_mhe.support.numbers import SIGMAS, interval

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.machine import OF_KIND, QUANTITIES, Kind, Machine, Units, log_line
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.files import atomic_write, write_columns
+from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 
@@ -156,3 +156,14 @@ def write_log(path: str | Path, log: Log) -> None:
             np.savez(stream, allow_pickle=False, **columns)
     else:
         write_columns(path, columns)
+
+
+def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write named columns (n,) as CSV, atomically; floats by shortest round-trip, integers as integers."""
+    block = 65536
+    with atomic_write(path) as stream:
+        stream.write((",".join(columns) + "\n").encode())
+        length = len(next(iter(columns.values())))
+        for start in range(0, length, block):
+            parts = (map(repr, values[start : start + block].tolist()) for values in columns.values())
+            stream.write("".join(",".join(row) + "\n" for row in zip(*parts, strict=True)).encode())

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
-
-from numpy.typing import NDArray
+from typing import BinaryIO
 
 from sgms_mhe.support.errors import InputError
 
@@ -45,14 +43,3 @@ def write_text(path: str | Path, content: str) -> None:
     """Write text (UTF-8, line feeds) atomically."""
     with atomic_write(path) as stream:
         stream.write(content.encode())
-
-
-def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write named columns (n,) as CSV, atomically; floats by shortest round-trip, integers as integers."""
-    block = 65536
-    with atomic_write(path) as stream:
-        stream.write((",".join(columns) + "\n").encode())
-        length = len(next(iter(columns.values())))
-        for start in range(0, length, block):
-            parts = (map(repr, values[start : start + block].tolist()) for values in columns.values())
-            stream.write("".join(",".join(row) + "\n" for row in zip(*parts, strict=True)).encode())
