@@ -21,7 +21,7 @@ from sgms_mhe.diagnosis.causes import Confirmed
 from sgms_mhe.diagnosis.coordinates import Coordinate, Warp, cubic, follow_late, memory_of_reversals
 from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.learned import Learned, LearnedRecord, LearnedTerm
-from sgms_mhe.diagnosis.learned_machine import add_learned_machine
+from sgms_mhe.diagnosis.learned_machine import add_learned
 from sgms_mhe.diagnosis.learner import learn_residual
 from sgms_mhe.emission.package import emit_package, write_package
 from sgms_mhe.evaluation.prediction import predict_log
@@ -44,6 +44,7 @@ CURVE = Learned(
     held_out_before=0.4,
     held_out_after=0.2,
     gain_interval=(0.4, 0.6),
+    unseen=np.zeros(0),
 )
 
 
@@ -177,17 +178,15 @@ def test_no_memory_of_a_reversal_is_learned_before_an_axis_has_moved_its_length(
     time = np.arange(20000) / 1000.0
     position = 0.1 - 0.1 * np.cos(np.pi * np.maximum(0.0, time - 3.0))
     here = prepare(machine(), Log(time, position, np.zeros(len(time)), 1000.0))
-    residual = noise(len(here.time), 1)
-    data = learner._prepare(here, residual, residual)
-    assert data is not None
-    moved = (np.cumsum(np.abs(here.velocity)) / here.rate)[data.place]
-    lengths = [[c.warp.scale for c in basis.coordinates if c.kind == "travel"] for basis in data.candidates]
+    terms = learner._make_terms(here, 1, here.used)
+    moved = (np.cumsum(np.abs(here.velocity)) / here.rate)[here.used]
+    lengths = [[c.warp.scale for c in term.coordinates if c.kind == "travel"] for term in terms]
     assert any(lengths) and not all(lengths)
-    for basis, length in zip(data.candidates, lengths, strict=True):
-        known = data.X[:, basis.columns].any(axis=1)
+    for term, length in zip(terms, lengths, strict=True):
+        known = term.splines.any(axis=1)
         assert known[-1]
-        assert known[0] != bool(length)
-        assert not length or not known[moved < length[0]].any()
+        if length:
+            assert not known[moved < length[0]].any()
 
 
 @pytest.mark.slow
@@ -227,10 +226,10 @@ def test_a_learned_residual_is_in_the_document_and_on_the_page(tmp_path: Path) -
         "held_out_after": 0.2,
         "gain_interval": [0.4, 0.6],
         "other_records": {},
-        "extended_machine": None,
+        "in_file": False,
     }
     page = write_report(diagnosis, tmp_path).read_text()
-    assert "learned, no name: over speed, place and travel, 50 % of the residual on held-out blocks" in page
+    assert "learned, no name: over speed, place and travel, 50 % of the residual on held-out data; left out" in page
     assert 'data-plot="learned_1"' in page
     assert 'data-plot="learned_2"' in page
     drawn = json.loads(page.split('<script type="application/json" id="data">')[1].split("</script>")[0])["plots"]
@@ -254,8 +253,8 @@ def test_what_can_be_learned_is_not_explained(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(learned_machine, "learn_residual", learn_curve)
     again = diagnose(machine(), log)
-    # A curve that is not there: run along the record its table gains nothing, so no machine has it.
-    assert (again.verdict, again.learned) == ("unexplained", CURVE)
+    # A curve that is not there: run along the record its table gains nothing, so the machine does not have it.
+    assert (again.verdict, again.learned, again.extended) == ("unexplained", CURVE, None)
     assert asked[-3:-1] == pytest.approx([again.rms.held_out_after, again.noise_floor_N], rel=1e-9)
     assert asked[-1] == max(material_force(machine(), asked[-2]), small_force(machine()))  # as a cause has to be
     assert "no known effect accounts for" in again.summary
@@ -294,11 +293,22 @@ def moved_with_force(speed: float, seed: int, effect: str = "learned_residual") 
 def learn_along(log: Log, axis: Machine) -> Diagnosis:
     """A diagnosis of a log that names nothing, with what its residual teaches."""
     here = prepare(axis, log)
-    residual = here.friction - here.reduce(CompiledModel(axis).predict(here.signals).friction_N)
-    learned = learn(here, residual)
+    simulated = here.reduce(CompiledModel(axis).predict(here.signals).friction_N)
+    learned = learn(here, here.friction - simulated)
     assert learned is not None
+    traces = replace(
+        explained(machine()).traces,
+        position_m=here.position,
+        velocity_m_s=here.velocity,
+        friction_N=here.friction,
+        extended_N=simulated,
+        held_out_fit_N=simulated,
+        used=here.used,
+        held_out=here.rows_held_out(),
+        rate=here.rate,
+    )
     bare = replace(explained(machine()), machine=axis, causes=(), extended=None, changes=None, learned=learned)
-    return add_learned_machine(replace(bare, verdict="unexplained"), log)
+    return add_learned(replace(bare, verdict="unexplained", traces=traces), log)
 
 
 def left_by(axis: Machine, log: Log) -> float:
@@ -312,20 +322,25 @@ def test_the_machine_with_the_tables_predicts_another_record_as_well_as_stated(t
     axis = machine_file(tmp_path)
     found = learn_along(moved_with_force(0.2, 1), axis)
     learned = found.learned
-    assert learned is not None and learned.file_name == "base_learned.toml"
+    assert learned is not None and learned.in_file and found.extended is not None
     write_diagnosis(found, tmp_path)
-    extended = load_machine(tmp_path / "base_learned.toml")
-    assert extended.digest == learned.extended.digest  # type: ignore[union-attr]
-    assert "Learned, no cause. Place counts from" in (tmp_path / "base_learned.toml").read_text()
-    assert max(map(len, (tmp_path / "base_learned.toml").read_text().splitlines())) <= 110
+    assert sorted(path.name for path in tmp_path.glob("*.toml")) == ["base.toml", "base_extended.toml"]
+    extended, text = load_machine(tmp_path / "base_extended.toml"), (tmp_path / "base_extended.toml").read_text()
+    assert extended.digest == found.extended.digest
+    assert "Learned, no cause" in text
+    assert max(map(len, text.splitlines())) <= 110
+    # Its numbers are those of the file, and a switch of the file leaves it out.
+    assert found.rms.after == pytest.approx(learned.held_out_after, rel=0.1)
+    off = override_machine(extended, {"learned": False})
+    assert len(extended.effects) == len(learned.terms) and not off.effects
     other = moved_with_force(0.17, 2)
     before, after = left_by(axis, other), left_by(extended, other)
     low, _ = learned.gain_interval
     assert low < 1.0 - after / before and 1.0 - after / before > learned.gain - 0.05
-    assert json.loads((tmp_path / "diagnosis.json").read_text())["learned"]["extended_machine"] == "base_learned.toml"
+    assert json.loads((tmp_path / "diagnosis.json").read_text())["learned"]["in_file"] is True
     write_package(emit_package(extended), tmp_path / "package")
     main = tmp_path / "main.c"
-    main.write_text('#include "base_learned.h"\nint main(void) { return base_learned_selftest(); }\n')
+    main.write_text('#include "base_extended.h"\nint main(void) { return base_extended_selftest(); }\n')
     program, sources = tmp_path / "selftest", sorted((tmp_path / "package").glob("*.c"))
     built = ["gcc", "-std=c99", "-O1", "-Wall", "-Werror", f"-I{tmp_path / 'package'}", "-o", program, main, *sources]
     subprocess.run(built, check=True, timeout=60.0)
@@ -349,17 +364,19 @@ def test_tables_behind_a_gain_are_smaller_by_it() -> None:
 def test_records_that_it_does_not_hold_on_are_said(tmp_path: Path) -> None:
     records = (LearnedRecord("b.csv", 0.5, 0.3, 0.6), LearnedRecord("c.csv", 0.5, 0.4, 0.35))
     learned = replace(CURVE, records=records)
-    assert learned.words.endswith("50 % of the residual on held-out blocks, 40 % on b.csv, 20 % on c.csv")
-    assert replace(CURVE, records=records[:1]).words.endswith("40 % on the other record")
+    assert "50 % of the residual on held-out data, 40 % on b.csv, 20 % on c.csv" in learned.words
+    assert replace(CURVE, records=records[:1]).words.endswith(
+        "40 % on the other record; left out of the extended machine"
+    )
     assert learned.to_json()["other_records"] == {
         "b.csv": {"before": 0.5, "after": 0.3, "plain": 0.6},
         "c.csv": {"before": 0.5, "after": 0.4, "plain": 0.35},
     }
     diagnosis = replace(explained(machine()), verdict="unexplained", learned=learned)
-    said = [sentence for sentence in diagnosis.contradictions if "what was learned is not recommended" in sentence]
+    said = [sentence for sentence in diagnosis.contradictions if "what was learned is left out" in sentence]
     assert len(said) == 1 and "c.csv it leaves 0.4 N" in said[0] and "friction alone 0.35 N" in said[0]
     assert LearnedRecord("d", 0.5, 0.51, 0.9).is_worse and not LearnedRecord("d", 0.5, 0.49, 0.9).is_worse
-    assert "so it is not recommended" in write_report(diagnosis, tmp_path).read_text()
+    assert "so it is left out" in write_report(diagnosis, tmp_path).read_text()
 
 
 @pytest.mark.slow
@@ -371,8 +388,8 @@ def test_it_is_judged_on_another_record(tmp_path: Path, monkeypatch: pytest.Monk
     found = diagnose(axis, here, others=[there])
     assert found.verdict == "unexplained" and found.learned is not None and len(found.learned.records) == 1
     record = found.learned.records[0]
-    assert record.before == pytest.approx(found.records[1].held_out_after, rel=1e-6)
     assert record.gain > 0.3 and not record.is_worse
-    extended = found.learned.extended
-    assert extended is not None
-    assert left_by(extended, there) < 0.7 * left_by(found.extended or axis, there)
+    extended = found.extended
+    assert found.learned.in_file and extended is not None
+    assert found.records[1].held_out_after == record.after
+    assert left_by(extended, there) < 0.7 * left_by(override_machine(extended, {"learned": False}), there)

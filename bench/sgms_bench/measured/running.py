@@ -43,8 +43,9 @@ class MeasuredOutcome:
         published: of others, by name; in percent of the force or in the force's unit, as `published_in` says.
         published_in: percent or rms.
         unit: of the force.
-        ours: error of the diagnosed machine on the stretch that no fit has seen; None: it was refused.
-        learned: error there of the machine that also has what was learned; None: nothing was.
+        ours: error of the extended machine, without what was learned, on the stretch that no fit has seen; None: it was
+            refused.
+        learned: error there with what was learned; None: nothing was.
         plain: the same of Coulomb and viscous friction by least squares.
         verdict: of the diagnosis, with its causes; or the sentence of a refusal.
         numbers: numbers that both halves have; 0: one half alone was diagnosed.
@@ -67,7 +68,7 @@ class MeasuredOutcome:
 
     @property
     def best(self) -> ForceError | None:
-        """Error of the machine that a user goes home with: what was learned is offered where it gains."""
+        """Error of the extended machine, which has what was learned where that gains."""
         return self.ours if self.learned is None else self.learned
 
 
@@ -121,8 +122,10 @@ def _run_record(table: MeasuredTable, record: MeasuredRecord, begin: Beginning, 
         verdict = f"refused: {error.where}: {error.allowed}"
     reference = machine or stated or _make_start(record, protocol.training)
     axis = machine if found is None or found.extended is None else found.extended
-    ours = None if found is None or axis is None else _compare(record, predict_of(axis, protocol), protocol)
-    taught = None if found is None or found.learned is None else found.learned.extended
+    named, taught = axis, None
+    if axis is not None and found is not None and found.learned is not None and found.learned.in_file:
+        named, taught = override_machine(axis, {"learned": False}), axis
+    ours = None if found is None or named is None else _compare(record, predict_of(named, protocol), protocol)
     outcome = MeasuredOutcome(
         name=record.name,
         begin=begin,

@@ -185,8 +185,6 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
     lines += [f"note: {warning}" for warning in diagnosis.warnings]
     if diagnosis.extended_name:
         lines.append(f"extended machine: {folder / diagnosis.extended_name}")
-    if diagnosis.learned is not None and diagnosis.learned.file_name:
-        lines.append(f"with what was learned: {folder / diagnosis.learned.file_name}")
     if report is not None:
         lines.append(f"report: {report}")
     return "\n".join(lines)

@@ -120,11 +120,13 @@ def _resolve(file: MachineFile) -> Machine:
 
 
 def _effects(file: MachineFile) -> tuple[ResolvedEffect, ...]:
-    """Every effect with all of its parameters, in the order of the catalogue's."""
+    """Every effect that counts, with all of its parameters in the order of the catalogue's."""
     counts: Counter[str] = Counter()
     effects = []
     for index, entry in enumerate(file.tables.effects):
         _check_effect(file, index)
+        if effect_definition(entry.name).learned and not file.tables.learned:
+            continue
         counts[entry.name] += 1
         label = entry.name if counts[entry.name] == 1 else f"{entry.name}_{counts[entry.name]}"
         effects.append(ResolvedEffect(entry.name, label, _effect_parameters(file, index)))

@@ -13,7 +13,8 @@ from scipy.signal import lfilter
 Array = NDArray[np.float64]
 Kind = Literal["place", "speed", "late speed", "travel"]
 
-SHARES: Final = (0.3, 0.1, 0.03, 0.01)
+LENGTHS: Final = (0.1, 0.01)
+LAGS: Final = (0.3, 0.1, 0.03, 0.01)
 """Lengths over which friction may remember a reversal, and times by which it may follow speed late [travel of the
 record, at its typical speed]."""
 MOVING: Final = 0.03
@@ -125,12 +126,12 @@ def warp_motion(position: Array, velocity: Array, step: float) -> dict[Warp, Arr
     if not len(moving) or travel == 0.0:
         return {}
     slowest, typical = MOVING * float(speed.max()), float(np.median(moving))
-    lags = [share * travel / typical for share in SHARES]
+    lags = [share * travel / typical for share in LAGS]
     warps = [
         Warp("place", 1.0),
         Warp("speed", typical),
         *(Warp("late speed", slowest, lag) for lag in lags if lag >= step),
-        *(Warp("travel", share * travel) for share in SHARES),
+        *(Warp("travel", share * travel) for share in LENGTHS),
     ]
     found = {warp: warp.along(position, velocity, step) for warp in warps}
     return {warp: x for warp, x in found.items() if np.ptp(x) > 0.0}

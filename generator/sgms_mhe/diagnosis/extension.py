@@ -13,9 +13,7 @@ from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml
 from sgms_mhe.model.effects import effect_definition
 
 NAME_LENGTH = 48
-LEARNED = "_learned"
-"""End of the name of a machine with learned tables."""
-TABLE_NOTE = "Learned, no cause. Place counts from where the record's position is zero."
+LEARNED_NOTE = "Learned, no cause; `learned = false` leaves it out. Place counts from the record's zero."
 
 
 def extend_machine(
@@ -74,11 +72,11 @@ def extend_machine(
 def add_tables(
     machine: Machine, base: Machine, changes: Mapping[str, Any] | None, tables: Sequence[Mapping[str, Any]]
 ) -> tuple[Machine, dict[str, Any]]:
-    """Return a machine with learned tables, and what its file changes of the first one's.
+    """Return the extended machine with learned tables behind its causes, and what its file changes.
 
     Args:
         machine: of the file.
-        base: the machine that gets the tables, with causes.
+        base: the machine that gets the tables: the extended one, or that of the file.
         changes: what it changes of the file; None: nothing.
         tables: entries of [[effects]], names of a linear axis.
     """
@@ -86,7 +84,7 @@ def add_tables(
     own = given.get("effects") or [effect.entry(units) for effect in base.effects]
     added = {
         **given,
-        "name": f"{base.name[: NAME_LENGTH - len(LEARNED)]}{LEARNED}",
+        "name": base.name if changes else f"{base.name[: NAME_LENGTH - 9]}_extended",
         "description": f"{base.description or base.name}, with what was learned and has no name"[:200],
         "effects": [*own, *(units.keyed(table) for table in tables)],
     }
@@ -145,5 +143,5 @@ def extension_toml(machine: Machine, extended: Machine, changes: Mapping[str, An
             notes.append(f"# Of each record its own: {', '.join(followed)}.")
         lines += ["", *notes, *toml_tables("estimator", changes["estimator"])[1:]]
     for effect in changes.get("effects", ()):
-        lines += toml_table("[[effects]]", effect, TABLE_NOTE if effect_definition(effect["name"]).learned else "")
+        lines += toml_table("[[effects]]", effect, LEARNED_NOTE if effect_definition(effect["name"]).learned else "")
     return "\n".join(lines) + "\n"

@@ -15,7 +15,6 @@ from sgms_mhe.diagnosis.causes import find_vague
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fits import report_name
 from sgms_mhe.diagnosis.joint_fit import JointFit, JointPoint
-from sgms_mhe.diagnosis.learned_machine import replace_base
 from sgms_mhe.diagnosis.numbers import friction_changes
 from sgms_mhe.diagnosis.own_numbers import OwnDifference
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup
@@ -175,7 +174,7 @@ def adopt_numbers(
     result = replace(found, causes=stated, extended=machine, changes=changes, differences=differences)
     if not result.is_rough:
         result = replace(result, refuted=refute_by_causes(stated))
-    return replace_base(result)
+    return result
 
 
 def _state(

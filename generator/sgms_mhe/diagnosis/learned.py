@@ -1,18 +1,13 @@
-"""A learned residual: its functions, what it gains, and the machine that has it as tables."""
+"""A learned residual: its functions, their tables, and what they gain."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.coordinates import Coordinate, Kind
-from sgms_mhe.diagnosis.extension import extension_toml
-from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects.definition import Value
 from sgms_mhe.model.effects.learned_residual import TableCoordinate, table_entry
 
@@ -80,20 +75,20 @@ class Learned:
 
     Attributes:
         terms: of its sum.
-        held_out_before, held_out_after: RMS of the residual without and with it, on blocks that it has not seen [N].
+        held_out_before, held_out_after: RMS of the residual without and with it, on data that it has not seen [N].
         gain_interval: 95 % interval of the share by which it falls [1].
+        unseen: force along the record (m) [N], each part of it as the others predict it.
         records: others that it was judged on.
-        extended: machine with causes and tables; None: run along the record, none gains what was learned.
-        changes: tables of its file that differ from the base's.
+        in_file: whether the extended machine has it: run along the record it gains, and on no other record it loses.
     """
 
     terms: tuple[LearnedTerm, ...]
     held_out_before: float
     held_out_after: float
     gain_interval: tuple[float, float]
+    unseen: Array
     records: tuple[LearnedRecord, ...] = ()
-    extended: Machine | None = None
-    changes: Mapping[str, Any] | None = None
+    in_file: bool = False
 
     @property
     def over(self) -> tuple[Kind, ...]:
@@ -102,7 +97,7 @@ class Learned:
 
     @property
     def gain(self) -> float:
-        """Share by which the RMS of the residual falls on held-out blocks [1]."""
+        """Share by which the RMS of the residual falls on held-out data [1]."""
         return 1.0 - self.held_out_after / self.held_out_before
 
     @property
@@ -111,12 +106,8 @@ class Learned:
         over = " and ".join(filter(None, (", ".join(self.over[:-1]), self.over[-1])))
         names = ["the other record"] if len(self.records) == 1 else [record.name for record in self.records]
         there = "".join(f", {100.0 * r.gain:.0f} % on {name}" for r, name in zip(self.records, names, strict=True))
-        return f"learned, no name: over {over}, {100.0 * self.gain:.0f} % of the residual on held-out blocks{there}"
-
-    @property
-    def file_name(self) -> str | None:
-        """File name of the machine that has it."""
-        return None if self.extended is None else f"{self.extended.name}.toml"
+        share = f"{100.0 * self.gain:.0f} % of the residual on held-out data{there}"
+        return f"learned, no name: over {over}, {share}{'' if self.in_file else '; left out of the extended machine'}"
 
     def along(self, position: Array, velocity: Array, step: float) -> Array:
         """Force (m) [N] along a motion (m) with rows of `step` [s]."""
@@ -125,17 +116,11 @@ class Learned:
     def list_contradictions(self, unit: str) -> tuple[str, ...]:
         """Return the sentences on records that it does not hold on, in the unit of a force."""
         return tuple(
-            f"what was learned is not recommended: on {r.name} it leaves {r.after:.3g} {unit}, the machine without it "
+            f"what was learned is left out: on {r.name} it leaves {r.after:.3g} {unit}, the machine without it "
             f"{r.before:.3g} {unit}, Coulomb and viscous friction alone {r.plain:.3g} {unit}"
             for r in self.records
             if r.is_worse
         )
-
-    def write_toml(self, machine: Machine, folder: Path, alone: bool) -> str | None:
-        """Return the file of the machine that has it, as `extension_toml` does; None where there is none."""
-        if self.extended is None or self.changes is None:
-            return None
-        return extension_toml(machine, self.extended, self.changes, folder, alone)
 
     def to_json(self) -> dict[str, object]:
         """Content of diagnosis.json."""
@@ -145,5 +130,5 @@ class Learned:
             "held_out_after": self.held_out_after,
             "gain_interval": list(self.gain_interval),
             "other_records": {r.name: {"before": r.before, "after": r.after, "plain": r.plain} for r in self.records},
-            "extended_machine": self.file_name,
+            "in_file": self.in_file,
         }

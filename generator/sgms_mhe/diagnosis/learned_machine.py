@@ -37,41 +37,51 @@ def _least_gain(machine: Machine, floor: float) -> float:
     return max(material_force(machine, floor), small_force(machine))
 
 
-def add_learned_machine(found: Diagnosis, log: Log) -> Diagnosis:
-    """Return a diagnosis with the machine that has what was learned as tables, beside the causes.
+def add_learned(found: Diagnosis, log: Log) -> Diagnosis:
+    """Return a diagnosis whose extended machine has what was learned as tables, beside the causes.
 
-    It is there where, run along the record as its file has it, it leaves less by what matters.
+    It has them where, run along the record as its file has it, it leaves less by what matters, and where they lose on
+    no other record; what is left of the record is then what that machine leaves.
     """
     learned = found.learned
-    if learned is None:
+    if learned is None or any(record.is_worse for record in learned.records):
         return found
     base = found.extended or found.machine
     share = logged_share(base)
-    entries = [term.entry(share) for term in learned.terms]
-    extended, changes = add_tables(found.machine, base, found.changes, entries)
+    extended, changes = add_tables(found.machine, base, found.changes, [term.entry(share) for term in learned.terms])
     record = prepare(base, in_step(log, found.offset_s) if found.offset_s else log)
     before, after = (_simulate(axis, record) for axis in (base, extended))
     least = _least_gain(base, found.noise_floor_N)
     log_decision(
         "learner",
-        "the machine with the tables is kept where, run along the record, it leaves less by what matters",
+        "the extended machine has the tables where, run along the record, it leaves less by what matters",
         before_N=before,
         after_N=after,
         least_gain_N=least,
     )
     if not before**2 - after**2 > least**2:
         return found
-    return replace(found, learned=replace(learned, extended=extended, changes=changes))
-
-
-def replace_base(found: Diagnosis) -> Diagnosis:
-    """Return a diagnosis whose machine with learned tables has the numbers of its extended machine."""
-    learned, base = found.learned, found.extended
-    if learned is None or learned.extended is None or base is None:
-        return found
-    share = logged_share(base)
-    extended, changes = add_tables(found.machine, base, found.changes, [term.entry(share) for term in learned.terms])
-    return replace(found, learned=replace(learned, extended=extended, changes=changes))
+    traces = found.traces
+    force = learned.along(np.nan_to_num(traces.position_m), np.nan_to_num(traces.velocity_m_s), 1.0 / traces.rate)
+    traces = replace(
+        traces,
+        extended_N=traces.extended_N + force,
+        held_out_fit_N=traces.held_out_fit_N + learned.unseen,
+    )
+    left = traces.friction_N - traces.held_out_fit_N
+    on_seen, on_held_out = (
+        float(np.sqrt(np.mean(left[traces.used & rows] ** 2))) for rows in (~traces.held_out, traces.held_out)
+    )
+    others = (replace(r, held_out_after=own.after) for r, own in zip(found.records[1:], learned.records, strict=False))
+    return replace(
+        found,
+        learned=replace(learned, in_file=True),
+        extended=extended,
+        changes=changes,
+        traces=traces,
+        rms=replace(found.rms, after=on_seen, held_out_after=on_held_out),
+        records=(*found.records[:1], *others) if learned.records else found.records,
+    )
 
 
 def _simulate(machine: Machine, record: Recording) -> float:

@@ -209,7 +209,7 @@ class Diagnosis(Shown):
         scores: every candidate of every round.
         structure_before, structure_after: of the residual.
         traces: decimated signals.
-        extended: the extended machine, None where nothing is named.
+        extended: the extended machine, None where nothing is named or learned.
         changes: tables of its file that differ from the base's, as content of a machine file.
         law: of friction that fits the record, as in the machine file.
         excited: whether the axis moved.

@@ -9,7 +9,7 @@ from dataclasses import replace
 from sgms_mhe.diagnosis.alignment import in_step, offset_notes
 from sgms_mhe.diagnosis.causes import has_size
 from sgms_mhe.diagnosis.criteria import Progress, ProgressReport
-from sgms_mhe.diagnosis.learned_machine import add_learned_machine
+from sgms_mhe.diagnosis.learned_machine import add_learned
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.diagnosis.transfer import judge_on_records, leaves_something, predicts_better
@@ -49,10 +49,11 @@ def diagnose(
     told = ProgressReport(progress or (lambda step, share: None))
     try:
         told.report_start()
-        found = add_learned_machine(diagnose_logs(machine, (log,), held_out_s, told), log)
+        found = diagnose_logs(machine, (log,), held_out_s, told)
         if others:
             found = judge_on_records(found, log, others, told.report_record, held_out_s)
             found = _diagnose_together(found, log, others, held_out_s, told)
+        found = add_learned(found, log)
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     written = tuple(WrittenError.measure(machine, found.extended, one) for one in (log, *others))
@@ -78,7 +79,7 @@ def _diagnose_together(
     except FitError:
         return found
     notes = (*offset_notes(found.machine, offset), *together.warnings)
-    together = add_learned_machine(replace(together, offset_s=offset + together.offset_s, warnings=notes), log)
+    together = replace(together, offset_s=offset + together.offset_s, warnings=notes)
     together = judge_on_records(together, log, others, told.report_record, held_out_s, together=True)
     # Of a number that each record has of its own the mean may be the file's.
     kept = tuple(cause for cause in together.causes if has_size(cause))

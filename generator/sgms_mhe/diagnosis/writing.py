@@ -1,4 +1,4 @@
-"""Files of a diagnosis: diagnosis.json and the extended machines."""
+"""Files of a diagnosis: diagnosis.json and the extended machine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sgms_mhe.support.files import write_text
 
 
 def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
-    """Write diagnosis.json and, where there are any, the extended machine files; return the folder."""
+    """Write diagnosis.json and, where there is one, the extended machine's file; return the folder."""
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     write_extended(diagnosis, folder)
@@ -22,13 +22,10 @@ def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
 
 
 def write_extended(diagnosis: Diagnosis, folder: Path) -> None:
-    """Write the extended machine where a cause is named, and the one with learned tables where there is one."""
-    toml, learned = diagnosis.extended_file(folder), diagnosis.learned
+    """Write the extended machine where a cause is named or something learned."""
+    toml = diagnosis.extended_file(folder)
     if toml is not None:
         write_text(folder / f"{diagnosis.extended_name}", toml)
-    tables = None if learned is None else learned.write_toml(diagnosis.machine, folder, diagnosis.standalone)
-    if learned is not None and tables is not None:
-        write_text(folder / f"{learned.file_name}", tables)
 
 
 def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:

@@ -80,6 +80,9 @@ class Tables(MachineTable):
     effects: Annotated[tuple[Effect, ...], Field(strict=False)] = Field(
         (), description="what the axis has beyond S-GMS; none, one or many; default none"
     )
+    learned: bool = Field(
+        True, description="whether the effects count that a diagnosis learned; false leaves them out; default true"
+    )
     diagnosis: DiagnosisTable = Field(
         DiagnosisTable(), description="what a diagnosis decides by, not part of the emitted C; default as in its keys"
     )

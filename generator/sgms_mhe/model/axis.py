@@ -129,6 +129,7 @@ class SymbolicAxis:
         element_force: sum of nu_i chi_i, the elements' force over f_C, from when they are declared.
         states: elements first.
         scope: label of the effect that contributes at the moment; its states are named after it.
+        shared: states that effects have in common, by name and numbers.
     """
 
     def __init__(
@@ -137,6 +138,7 @@ class SymbolicAxis:
         self.gate_per_velocity = gate_per_velocity
         self.nominal_mass = mass
         self.reads_mass = False
+        self.shared: dict[tuple[str | float, ...], AxisState] = {}
         self.coulomb = coulomb
         self.step = step
         self.measured = ca.SX.sym("w", len(names))

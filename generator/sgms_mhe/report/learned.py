@@ -33,10 +33,10 @@ def learned_block(learned: Learned) -> dict[str, Any]:
         f"{percent(high)}. It is no cause: it says what the residual depends on, as far as this record has been there.",
         *(
             f"On {r.name} {force(r.before)} go to {force(r.after)}; Coulomb and viscous friction alone leave "
-            f"{force(r.plain)}{', so it is not recommended' if r.is_worse else ''}."
+            f"{force(r.plain)}{', so it is left out' if r.is_worse else ''}."
             for r in learned.records
         ),
-        *([f"{learned.file_name} has it as tables, zero beyond these ranges."] if learned.file_name else []),
+        *(["The extended machine has it as tables, zero beyond these ranges."] if learned.in_file else []),
     ]
     return {
         "words": learned.words,

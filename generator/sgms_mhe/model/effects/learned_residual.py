@@ -18,7 +18,7 @@ from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation
 from sgms_mhe.model.effects.definition import Fault, Value
 from sgms_mhe.model.effects.search import Values
 from sgms_mhe.model.effects.spline_table import DEGREE, Array, GridPlace, spline_sum, spline_table
-from sgms_mhe.model.effects.states import EffectState, add_effect_state
+from sgms_mhe.model.effects.states import EffectState, share_effect_state
 
 Over = Literal["place", "speed", "travel"]
 
@@ -75,7 +75,7 @@ _FORCE: Final = EffectParameter(
 
 
 def _grid(axis: SymbolicAxis, p: Expressions, nominal: Values) -> list[GridPlace]:
-    """Where the axis is on the grid of each coordinate; declares the states of these."""
+    """Where the axis is on the grid of each coordinate; tables of one length, or one lag, have one state in common."""
     places = []
     if cells := round(nominal["place_cells"]):
         places.append(GridPlace.of(axis.position, p["place_low_m"], p["place_high_m"], cells))
@@ -86,18 +86,17 @@ def _grid(axis: SymbolicAxis, p: Expressions, nominal: Values) -> list[GridPlace
         places.append(GridPlace.of(value, low, high, cells))
     if cells := round(nominal["travel_cells"]):
         per_metre = 1.0 / nominal["travel_length_m"]
-        state = add_effect_state(axis, EffectState("memory", rate_per_metre=per_metre, noise=1e-3, initial_state=1.0))
-        v = axis.velocity
+        memory = EffectState("memory", rate_per_metre=per_metre, noise=1e-3, initial_state=1.0)
+        state, v = share_effect_state(axis, memory, p["travel_length_m"]), axis.velocity
         state.rate = (v - ca.fabs(v) * state.chi) / p["travel_length_m"]
         places.append(GridPlace.of(state.chi, ca.SX(-1.0), ca.SX(1.0), cells))
     return places
 
 
 def _add_late_speed(axis: SymbolicAxis, p: Expressions, nominal: Values) -> ca.SX:
-    """Declare the state of the speed that follows the axis's late, in units of `scale`, and return that speed."""
-    state = add_effect_state(
-        axis, EffectState("speed", rate_per_second=1.0 / nominal["speed_lag_s"], initial_state=1.0)
-    )
+    """Return the speed that follows the axis's late; its state has units of `scale`."""
+    late = EffectState("speed", rate_per_second=1.0 / nominal["speed_lag_s"], initial_state=1.0)
+    state = share_effect_state(axis, late, p["speed_lag_s"], p["speed_scale_m_s"])
     state.rate = (axis.velocity / p["speed_scale_m_s"] - state.chi) / p["speed_lag_s"]
     return state.chi * p["speed_scale_m_s"]
 

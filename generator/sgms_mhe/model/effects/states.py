@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import casadi as ca
+
 from sgms_mhe.model.axis import AxisState, StateSpec, SymbolicAxis
 
 
@@ -21,6 +23,17 @@ class EffectState:
     rate_per_second: float = 0.0
     noise: float = 1e-3
     initial_state: float = 1e-2
+
+
+def share_effect_state(axis: SymbolicAxis, state: EffectState, *numbers: ca.SX) -> AxisState:
+    """Return the state of that name and these numbers, which effects have in common; the first one declares it.
+
+    Where a number is estimated, the state is the effect's own.
+    """
+    key = (state.name, *(float(number) if number.is_constant() else axis.scope for number in numbers))
+    if key not in axis.shared:
+        axis.shared[key] = add_effect_state(axis, state)
+    return axis.shared[key]
 
 
 def add_effect_state(axis: SymbolicAxis, state: EffectState) -> AxisState:
