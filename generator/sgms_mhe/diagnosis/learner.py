@@ -32,7 +32,7 @@ Index = NDArray[np.int64]
 
 ROWS: Final = 5000
 """Means of a record that are learned from, at most [1]."""
-PARTS: Final = 8
+PARTS: Final = 16
 LEAST_PARTS: Final = 3
 """Parts of a record, at most and at least, each of which is predicted by the others [1]."""
 CORRELATION: Final = 0.2
