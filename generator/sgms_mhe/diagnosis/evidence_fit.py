@@ -178,7 +178,7 @@ def maximise_evidence(
         told = float((1.0 - inverse * prior).sum())
         variance = max(rows.loss(b), WEAK * rows.square) / max(rows.rows - told, 0.1 * rows.rows)
         unsure = tau * variance * (1.0 / prior - inverse)
-        least = np.log(tau * variance / rows.square) if rows.square > 0.0 else MOST
+        least = np.log(tau * variance / rows.square * np.bincount(design.group)) if rows.square > 0.0 else MOST
         before = np.concatenate((size, rough))
         size = np.clip(_step(design.group, size, unsure, b**2), np.clip(least, LEAST, MOST), MOST)
         rough = np.clip(_step(design.group, rough, unsure * design.rough, b**2 * design.rough), LEAST, MOST)
