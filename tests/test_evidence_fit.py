@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import add
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -14,7 +17,6 @@ from sgms_mhe.diagnosis.evidence_fit import (
     fit_evidence,
     fit_without,
     maximise_evidence,
-    sum_moments,
 )
 
 Array = NDArray[np.float64]
@@ -51,7 +53,7 @@ def log_evidence(design: Design, rows: Moments, fit: EvidenceFit, phi: float) ->
 def test_variances_are_where_the_evidence_is_largest() -> None:
     """Its derivatives, by differences, are zero in those variances that no bound holds."""
     design, _, parts = example()
-    rows = sum_moments(parts)
+    rows = reduce(add, parts)
     fit = maximise_evidence(design, rows, 1.0, steps=400)
     prior = design.find_prior(rows, fit.size, fit.rough)
     told = np.trace(np.linalg.solve(rows.H + np.diag(prior), rows.H))
@@ -73,7 +75,7 @@ def test_variances_are_where_the_evidence_is_largest() -> None:
 
 def test_coefficients_are_the_penalised_least_squares() -> None:
     design, y, parts = example()
-    rows = sum_moments(parts)
+    rows = reduce(add, parts)
     fit = fit_evidence(design, parts)
     prior = design.find_prior(rows, fit.size, fit.rough)
     stacked = np.vstack((design.X, np.diag(np.sqrt(prior))))

@@ -146,7 +146,7 @@ class EvidenceFit:
 
 def fit_evidence(design: Design, parts: Sequence[Moments]) -> EvidenceFit:
     """Fit all groups to all parts, with the tau by which parts are predicted best that are held out."""
-    rows = sum_moments(parts)
+    rows = reduce(add, parts)
     fits: list[EvidenceFit] = []
     losses: list[float] = []
     for tau in CORRELATED:
@@ -158,7 +158,7 @@ def fit_evidence(design: Design, parts: Sequence[Moments]) -> EvidenceFit:
 
 def fit_without(design: Design, parts: Sequence[Moments], fit: EvidenceFit) -> list[Array]:
     """Return the coefficients (p) that predict each part, its variances too by all others."""
-    rows = sum_moments(parts)
+    rows = reduce(add, parts)
     return [design.predict(maximise_evidence(design, rows - p, fit.tau, fit, STEPS_AGAIN).b) for p in parts]
 
 
@@ -167,8 +167,8 @@ def maximise_evidence(
 ) -> EvidenceFit:
     """Fit all groups to some rows, from the variances of another fit or from the same ones of all groups.
 
-    No group has a larger prior variance than the rows have: it is a part of them, and no difference of large forces,
-    which would not cancel where the rows have not been.
+    The force of no group has a larger prior variance than the rows have: it is a part of them, and no difference of
+    large forces, which would not cancel where the rows have not been.
     """
     groups = np.zeros(len(design.turns))
     size, rough = (groups + BEGIN, groups + BEGIN) if begin is None else (begin.size, begin.rough)
@@ -185,11 +185,6 @@ def maximise_evidence(
         if np.abs(np.concatenate((size, rough)) - before).max() < SETTLED:
             break
     return EvidenceFit(_solve(rows, design.find_prior(rows, size, rough))[0], size, rough, tau)
-
-
-def sum_moments(parts: Sequence[Moments]) -> Moments:
-    """Return the moments of all parts."""
-    return reduce(add, parts)
 
 
 def _solve(rows: Moments, prior: Array) -> tuple[Array, Array]:

@@ -76,7 +76,7 @@ class Learned:
     Attributes:
         terms: of its sum.
         held_out_before, held_out_after: RMS of the residual without and with it, on data that it has not seen [N].
-        gain_interval: 95 % interval of the share by which it falls [1].
+        gain_interval: 98 % interval of the share by which it falls [1].
         unseen: force along the record (m) [N], each part of it as the others predict it.
         records: others that it was judged on.
         in_file: whether the extended machine has it: run along the record it gains, and on no other record it loses.

@@ -21,7 +21,7 @@ from sgms_mhe.diagnosis.coordinates import Coordinate, Kind, Warp, warp_motion
 from sgms_mhe.diagnosis.criteria import GAIN_SHARE
 from sgms_mhe.diagnosis.evidence_fit import Design, EvidenceFit, SmoothGroup, fit_evidence, fit_without
 from sgms_mhe.diagnosis.learned import Learned, LearnedTerm
-from sgms_mhe.recordings.evidence import CONFIDENCE, difference_statistic
+from sgms_mhe.recordings.evidence import difference_statistic
 from sgms_mhe.recordings.recording import ROWS_MIN, Recording
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.support.decisions import log_decision
@@ -32,7 +32,7 @@ Index = NDArray[np.int64]
 
 ROWS: Final = 5000
 """Means of a record that are learned from, at most [1]."""
-PARTS: Final = 16
+PARTS: Final = 24
 LEAST_PARTS: Final = 3
 """Parts of a record, at most and at least, each of which is predicted by the others [1]."""
 CORRELATION: Final = 0.2
@@ -55,6 +55,8 @@ BLOCKS: Final[tuple[tuple[tuple[Kind, int], ...], ...]] = (
 gear may be finer over place than anything is over speed, and shifted from one direction to the other."""
 SUPPORT: Final = 1.0
 """Rows under a spline from which the record tells of it [1]."""
+SURE: Final = 0.98
+"""Confidence of the interval of a gain: above zero is that of noise in one of a hundred."""
 SMALL: Final = 0.01
 """Force of a function that is left out [RMS of the residual]."""
 
@@ -156,19 +158,16 @@ def _make_terms(recording: Recording, every: int, whole: Mask) -> list[_Term]:
     for block in BLOCKS:
         choices = ([warp for warp in warped if warp.kind == kind] for kind, _ in block)
         for warps in itertools.product(*choices):
-            cells = (count for _, count in block)
-            coordinates = tuple(_make_coordinate(w, warped[w], n) for w, n in zip(warps, cells, strict=True))
+            coordinates = tuple(
+                Coordinate(w, *((-1.0, 1.0) if w.kind == "travel" else (float(x.min()), float(x.max()))), n)
+                for w, x, (_, n) in zip(warps, map(warped.__getitem__, warps), block, strict=True)
+            )
             own = [c.splines(warped[c.warp]) for c in coordinates]
             B = own[0] if len(own) == 1 else (own[0][:, :, None] * own[1][:, None, :]).reshape(len(moved), -1)
             B[moved < max((w.scale for w in warps if w.kind == "travel"), default=0.0)] = 0.0
             B[passed < max(w.lag for w in warps)] = 0.0
             terms.append(_Term(coordinates, B))
     return terms
-
-
-def _make_coordinate(warp: Warp, x: Array, cells: int) -> Coordinate:
-    low, high = (-1.0, 1.0) if warp.kind == "travel" else (float(x.min()), float(x.max()))
-    return Coordinate(warp, low, high, cells)
 
 
 def _penalise(sizes: Sequence[int]) -> Array:
@@ -222,5 +221,5 @@ def _gain_interval(before: Array, after: Array) -> tuple[float, float]:
     if count < 3 or statistic == 0.0:
         return math.nan, math.nan
     share = 1.0 - math.sqrt(float(after.sum() / before.sum()))
-    reach = float(stats.t.ppf(0.5 * (1.0 + CONFIDENCE), count - 1)) * abs(share / statistic)
+    reach = float(stats.t.ppf(0.5 * (1.0 + SURE), count - 1)) * abs(share / statistic)
     return share - reach, share + reach

@@ -75,29 +75,33 @@ _FORCE: Final = EffectParameter(
 
 
 def _grid(axis: SymbolicAxis, p: Expressions, nominal: Values) -> list[GridPlace]:
-    """Where the axis is on the grid of each coordinate; tables of one length, or one lag, have one state in common."""
+    """Where the axis is on the grid of each coordinate, as it is measured: so it was learned.
+
+    Tables of one length, or one lag, have one state in common.
+    """
+    position, velocity = ca.vertsplit(axis.measured)[:2]
     places = []
     if cells := round(nominal["place_cells"]):
-        places.append(GridPlace.of(axis.position, p["place_low_m"], p["place_high_m"], cells))
+        places.append(GridPlace.of(position, p["place_low_m"], p["place_high_m"], cells))
     if cells := round(nominal["speed_cells"]):
-        own = _add_late_speed(axis, p, nominal) if nominal["speed_lag_s"] else axis.velocity
+        own = _add_late_speed(axis, velocity, p, nominal) if nominal["speed_lag_s"] else velocity
         speeds = (own, p["speed_low_m_s"], p["speed_high_m_s"])
         value, low, high = (v / (ca.fabs(v) + p["speed_scale_m_s"]) for v in speeds)
         places.append(GridPlace.of(value, low, high, cells))
     if cells := round(nominal["travel_cells"]):
         per_metre = 1.0 / nominal["travel_length_m"]
         memory = EffectState("memory", rate_per_metre=per_metre, noise=1e-3, initial_state=1.0)
-        state, v = share_effect_state(axis, memory, p["travel_length_m"]), axis.velocity
-        state.rate = (v - ca.fabs(v) * state.chi) / p["travel_length_m"]
+        state = share_effect_state(axis, memory, p["travel_length_m"])
+        state.rate = (velocity - ca.fabs(velocity) * state.chi) / p["travel_length_m"]
         places.append(GridPlace.of(state.chi, ca.SX(-1.0), ca.SX(1.0), cells))
     return places
 
 
-def _add_late_speed(axis: SymbolicAxis, p: Expressions, nominal: Values) -> ca.SX:
+def _add_late_speed(axis: SymbolicAxis, velocity: ca.SX, p: Expressions, nominal: Values) -> ca.SX:
     """Return the speed that follows the axis's late; its state has units of `scale`."""
     late = EffectState("speed", rate_per_second=1.0 / nominal["speed_lag_s"], initial_state=1.0)
     state = share_effect_state(axis, late, p["speed_lag_s"], p["speed_scale_m_s"])
-    state.rate = (axis.velocity / p["speed_scale_m_s"] - state.chi) / p["speed_lag_s"]
+    state.rate = (velocity / p["speed_scale_m_s"] - state.chi) / p["speed_lag_s"]
     return state.chi * p["speed_scale_m_s"]
 
 
