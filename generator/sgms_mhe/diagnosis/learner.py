@@ -138,11 +138,6 @@ class _Term:
     coordinates: tuple[Coordinate, ...]
     splines: Array
 
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Number of splines over each coordinate."""
-        return tuple(c.size for c in self.coordinates)
-
 
 def _make_terms(recording: Recording, every: int, whole: Mask) -> list[_Term]:
     """Return all functions of a record's motion, means over `every` rows of which `whole` are learned from.
@@ -183,7 +178,7 @@ def _penalise(sizes: Sequence[int]) -> Array:
 def _fit(terms: Sequence[_Term], residual: Array, part: Index) -> tuple[Design, EvidenceFit]:
     """Fit all functions, and a force that wanders with time, to a residual (m) of numbered parts (m)."""
     wander = Coordinate(Warp("place", 1.0), 0.0, float(len(part)), WANDER)
-    groups = [SmoothGroup(term.splines, _penalise(term.sizes)) for term in terms]
+    groups = [SmoothGroup(term.splines, _penalise([c.size for c in term.coordinates])) for term in terms]
     groups.append(
         SmoothGroup(wander.splines(np.arange(len(part), dtype=np.float64)), _penalise((wander.size,)), nuisance=True)
     )
@@ -201,16 +196,13 @@ def _solve_terms(
     least = SMALL * float(np.sqrt(np.mean(residual**2)))
     own = zip(terms, design.split(fit.b), strict=False)  # the last ones are of time
     kept = [term for term, b in own if float(np.sqrt(np.mean((term.splines @ b) ** 2))) > least]
-    if not kept:
-        return ()
     design, fit = _fit(kept, residual, part)
     found = []
     for term, b in zip(kept, design.split(fit.b), strict=False):
         force = term.splines @ b
         told = term.splines.sum(axis=0) > SUPPORT
-        found.append(
-            LearnedTerm(term.coordinates, np.where(told, b, np.clip(b, force.min(), force.max())).reshape(term.sizes))
-        )
+        held = np.where(told, b, np.clip(b, force.min(), force.max()))
+        found.append(LearnedTerm(term.coordinates, held.reshape([c.size for c in term.coordinates])))
     return tuple(found)
 
 
