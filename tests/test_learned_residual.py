@@ -200,10 +200,10 @@ def test_the_gain_is_none_of_the_blocks_that_are_learned_from() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.0, 0.1, 1.0, 5.0])
 def test_noise_is_not_learned(seconds: float) -> None:
-    """White, coloured, wandering: of 40 draws together, over 20 s."""
+    """White, coloured, wandering: of 24 draws together, over 20 s."""
     here = record(0.05)
     assert here.rate == RATE
-    assert not any(learn(here, noise(len(here.time), 100 + k, seconds)) for k in range(10))
+    assert not any(learn(here, noise(len(here.time), 100 + k, seconds)) for k in range(6))
 
 
 def test_nothing_is_learned_where_nothing_is_left() -> None:

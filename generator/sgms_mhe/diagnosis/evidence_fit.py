@@ -26,7 +26,7 @@ Mask = NDArray[np.bool_]
 CORRELATED: Final = (30.0, 10.0, 3.0)
 """Rows that may count as one [1], in the order of trial: a fit begins where the one before has ended."""
 STEPS: Final = 40
-STEPS_AGAIN: Final = 12
+STEPS_AGAIN: Final = 5
 """Steps of the fixed point, and where it begins at the variances of nearly the same rows [1]."""
 SETTLED: Final = 0.05
 """Largest change of a logarithm of a variance in a step that is the last [1]."""
