@@ -703,7 +703,7 @@ static int obeys_drift(
     etel_xy_controller_settings(&settings);
     for (int p = 0; p < PARAMETERS; p++) {
         settings.drift[p] = settings.parameter[p] * (1.0f + SELFTEST_OTHER * (sgms_real)p) *
-            (0.1f / DRIFT_INTERVAL);
+            (0.1f / (sgms_real)DRIFT_INTERVAL);
     }
     for (int twin = 0; twin < 2; twin++) {
         good = etel_xy_controller_init_with(axis, &settings) == ETEL_XY_CONTROLLER_OK && good;
@@ -1188,7 +1188,7 @@ static int tells_miscounting(etel_xy_controller_t *axis, motion *m)
 static int counts_motion(etel_xy_controller_t *axis, motion *m)
 {
     etel_xy_controller_signals slow =
-        { 0.0f, -0.3f * HOLD_PATH / (SAMPLES * SAMPLE_TIME), 0.0f, 0.0f, 0.0f, 0, 0.0f };
+        { 0.0f, -0.3f * HOLD_PATH / ((sgms_real)SAMPLES * SAMPLE_TIME), 0.0f, 0.0f, 0.0f, 0, 0.0f };
     sgms_real force = 0.0f;
     int good = start_moving(axis, BY_SAMPLE, m);
     for (int k = 0; k < 4; k++) {

@@ -665,8 +665,8 @@ static int obeys_drift(
     int good = 1;
     etel_xy_switching_settings(&settings);
     for (int p = 0; p < PARAMETERS; p++) {
-        settings.drift[p] =
-            settings.parameter[p] * (1.0 + SELFTEST_OTHER * (sgms_real)p) * (0.1 / DRIFT_INTERVAL);
+        settings.drift[p] = settings.parameter[p] * (1.0 + SELFTEST_OTHER * (sgms_real)p) *
+            (0.1 / (sgms_real)DRIFT_INTERVAL);
     }
     for (int twin = 0; twin < 2; twin++) {
         good = etel_xy_switching_init_with(axis, &settings) == ETEL_XY_SWITCHING_OK && good;
@@ -1151,7 +1151,7 @@ static int tells_miscounting(etel_xy_switching_t *axis, motion *m)
 static int counts_motion(etel_xy_switching_t *axis, motion *m)
 {
     etel_xy_switching_signals slow =
-        { 0.0, -0.3 * HOLD_PATH / (SAMPLES * SAMPLE_TIME), 0.0, 0.0, 0.0, 0, 0.0 };
+        { 0.0, -0.3 * HOLD_PATH / ((sgms_real)SAMPLES * SAMPLE_TIME), 0.0, 0.0, 0.0, 0, 0.0 };
     sgms_real force = 0.0;
     int good = start_moving(axis, BY_SAMPLE, m);
     for (int k = 0; k < 4; k++) {

@@ -644,8 +644,8 @@ static int obeys_drift(toy_t *axis, motion *m, const toy_estimate_t *nominal)
     int good = 1;
     toy_settings(&settings);
     for (int p = 0; p < PARAMETERS; p++) {
-        settings.drift[p] =
-            settings.parameter[p] * (1.0 + SELFTEST_OTHER * (sgms_real)p) * (0.1 / DRIFT_INTERVAL);
+        settings.drift[p] = settings.parameter[p] * (1.0 + SELFTEST_OTHER * (sgms_real)p) *
+            (0.1 / (sgms_real)DRIFT_INTERVAL);
     }
     for (int twin = 0; twin < 2; twin++) {
         good = toy_init_with(axis, &settings) == TOY_OK && good;
@@ -1095,7 +1095,8 @@ static int tells_miscounting(toy_t *axis, motion *m)
  * many slow intervals too. */
 static int counts_motion(toy_t *axis, motion *m)
 {
-    toy_signals slow = { 0.0, -0.3 * HOLD_PATH / (SAMPLES * SAMPLE_TIME), 0.0, 0.0, 0.0, 0, 0.0 };
+    toy_signals slow =
+        { 0.0, -0.3 * HOLD_PATH / ((sgms_real)SAMPLES * SAMPLE_TIME), 0.0, 0.0, 0.0, 0, 0.0 };
     sgms_real force = 0.0;
     int good = start_moving(axis, BY_SAMPLE, m);
     for (int k = 0; k < 4; k++) {
