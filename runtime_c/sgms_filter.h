@@ -156,7 +156,8 @@ static inline sgms_position sgms_axis_at(
 {
     sgms_position at = reading;
     if (chain->step > 0) {
-        const sgms_position low = reading - chain->step, high = reading + chain->step;
+        const sgms_position low = sgms_position_ahead(reading, -chain->step);
+        const sgms_position high = sgms_position_ahead(reading, chain->step);
         at = last < low ? low : last > high ? high : last;
     }
     return at;
