@@ -404,7 +404,9 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, (*unexcited, *explored.unseen)))
     whole = views.fine.rows if records.whole is None else records.whole
-    floor = noise_floor(whole, fit.residual, largest_force(whole, encoder_forces(views.fine, fit)))
+    shape = replace(fit.shape, distances=np.maximum(fit.shape.distances, views.fine.limits[0]))  # as in the file
+    steps = encoder_forces(views.fine, replace(fit, shape=shape))
+    floor = noise_floor(whole, fit.residual, largest_force(whole, steps))
     limits = [
         *explored.said,
         *said,
