@@ -21,7 +21,7 @@ from sgms_mhe.diagnosis.causes import Confirmed
 from sgms_mhe.diagnosis.coordinates import Coordinate, Warp, cubic, follow_late, memory_of_reversals
 from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.learned import Learned, LearnedRecord, LearnedTerm
-from sgms_mhe.diagnosis.learned_machine import add_learned
+from sgms_mhe.diagnosis.learned_machine import adopt_tables
 from sgms_mhe.diagnosis.learner import learn_residual
 from sgms_mhe.emission.package import emit_package, write_package
 from sgms_mhe.evaluation.prediction import predict_log
@@ -308,7 +308,7 @@ def learn_along(log: Log, axis: Machine) -> Diagnosis:
         rate=here.rate,
     )
     bare = replace(explained(machine()), machine=axis, causes=(), extended=None, changes=None, learned=learned)
-    return add_learned(replace(bare, verdict="unexplained", traces=traces), log)
+    return adopt_tables(replace(bare, verdict="unexplained", traces=traces), log)
 
 
 def left_by(axis: Machine, log: Log) -> float:

@@ -14,9 +14,9 @@ Array = NDArray[np.float64]
 Kind = Literal["place", "speed", "late speed", "travel"]
 
 LENGTHS: Final = (0.1, 0.01)
+"""Lengths over which friction may remember a reversal [travel of the record]."""
 LAGS: Final = (0.3, 0.1, 0.03, 0.01)
-"""Lengths over which friction may remember a reversal, and times by which it may follow speed late [travel of the
-record, at its typical speed]."""
+"""Times by which it may follow speed late [time of that travel at the record's typical speed]."""
 MOVING: Final = 0.03
 """Speed from which an axis moves, for its typical one, and about which a late speed is finest [largest speed]."""
 DEGREE: Final = 3

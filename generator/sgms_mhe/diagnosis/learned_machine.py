@@ -37,7 +37,7 @@ def _least_gain(machine: Machine, floor: float) -> float:
     return max(material_force(machine, floor), small_force(machine))
 
 
-def add_learned(found: Diagnosis, log: Log) -> Diagnosis:
+def adopt_tables(found: Diagnosis, log: Log) -> Diagnosis:
     """Return a diagnosis whose extended machine has what was learned as tables, beside the causes.
 
     It has them where, run along the record as its file has it, it leaves less by what matters, and where they lose on

@@ -9,7 +9,7 @@ from dataclasses import replace
 from sgms_mhe.diagnosis.alignment import in_step, offset_notes
 from sgms_mhe.diagnosis.causes import has_size
 from sgms_mhe.diagnosis.criteria import Progress, ProgressReport
-from sgms_mhe.diagnosis.learned_machine import add_learned
+from sgms_mhe.diagnosis.learned_machine import adopt_tables
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.diagnosis.transfer import judge_on_records, leaves_something, predicts_better
@@ -53,7 +53,7 @@ def diagnose(
         if others:
             found = judge_on_records(found, log, others, told.report_record, held_out_s)
             found = _diagnose_together(found, log, others, held_out_s, told)
-        found = add_learned(found, log)
+        found = adopt_tables(found, log)
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     written = tuple(WrittenError.measure(machine, found.extended, one) for one in (log, *others))

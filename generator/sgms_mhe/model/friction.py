@@ -96,7 +96,7 @@ def declare_elements(
 ) -> None:
     """Declare the states of the n_z elements, so that effects may refer to them before their rates are known.
 
-    An axis may move by `position_noise` [m] that no reading shows: elements that slide do not notice, others follow.
+    An axis may move by `position_noise` [m] that is not measured: it is part of an element's noise in every interval.
     """
     for i, (nu, fraction) in enumerate(zip(nominal_fraction, symbols.fraction, strict=True)):
         per_metre = nominal_stiffness[i] / (nu * axis.coulomb)

@@ -84,7 +84,7 @@ def _grid(axis: SymbolicAxis, p: Expressions, nominal: Values) -> list[GridPlace
     if cells := round(nominal["place_cells"]):
         places.append(GridPlace.of(position, p["place_low_m"], p["place_high_m"], cells))
     if cells := round(nominal["speed_cells"]):
-        own = _add_late_speed(axis, velocity, p, nominal) if nominal["speed_lag_s"] else velocity
+        own = _follow_speed(axis, velocity, p, nominal) if nominal["speed_lag_s"] else velocity
         speeds = (own, p["speed_low_m_s"], p["speed_high_m_s"])
         value, low, high = (v / (ca.fabs(v) + p["speed_scale_m_s"]) for v in speeds)
         places.append(GridPlace.of(value, low, high, cells))
@@ -97,7 +97,7 @@ def _grid(axis: SymbolicAxis, p: Expressions, nominal: Values) -> list[GridPlace
     return places
 
 
-def _add_late_speed(axis: SymbolicAxis, velocity: ca.SX, p: Expressions, nominal: Values) -> ca.SX:
+def _follow_speed(axis: SymbolicAxis, velocity: ca.SX, p: Expressions, nominal: Values) -> ca.SX:
     """Return the speed that follows the axis's late; its state has units of `scale`."""
     late = EffectState("speed", rate_per_second=1.0 / nominal["speed_lag_s"], initial_state=1.0)
     state = share_effect_state(axis, late, p["speed_lag_s"], p["speed_scale_m_s"])
