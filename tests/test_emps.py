@@ -14,17 +14,21 @@ from cli_cases import done, run
 
 HALF_s = 12.42  # two of the four laps
 HALVES = {"first": (0.0, HALF_s), "second": (HALF_s, 25.0)}
-TARGET = 0.023  # the published inverse models leave 4.08 and 3.11 %
+TARGET = 0.014  # the published inverse models leave 4.08 and 3.11 %
 SCREW_PITCH_m = 2.5e-3
 
 
 @dataclass(frozen=True)
 class Learnt:
-    """A diagnosis of one half and the force errors of its extended machine, on its own half and on the other."""
+    """A diagnosis of one half and the force errors of its extended machine.
+
+    On its own half, on the other, and on the other with the named causes alone.
+    """
 
     causes: list[dict[str, Any]]
     seen: float
     unused: float
+    named_alone: float
 
     def named(self, *names: str) -> list[dict[str, Any]]:
         return [cause for cause in self.causes if cause["name"] in names]
@@ -41,8 +45,10 @@ def learnt(
     diagnosis = json.loads((folder / "diagnosis.json").read_text())
     assert diagnosis["extended_machine"], diagnosis["summary"]
     extended = folder / diagnosis["extended_machine"]
+    named = folder / "named.toml"
+    named.write_text(f'extends = "{extended.name}"\nlearned = false\n')
 
-    def error(half: str) -> float:
+    def error(extended: Path, half: str) -> float:
         start, end = HALVES[half]
         part = ("--from", str(start), "--to", str(end), "--lowpass", "100", "--decimate", "10", "--json")
         return float(
@@ -50,15 +56,15 @@ def learnt(
         )
 
     other = next(half for half in HALVES if half != request.param)
-    return Learnt(diagnosis["causes"], error(request.param), error(other))
+    return Learnt(diagnosis["causes"], error(extended, request.param), error(extended, other), error(named, other))
 
 
 @pytest.mark.slow
 def test_force_error_on_unused_laps(learnt: Learnt) -> None:
     print(f"force error: {100.0 * learnt.seen:.2f} % on laps of the fit, {100.0 * learnt.unused:.2f} % on unused laps")
     assert learnt.unused <= TARGET
-    # A model that fits only what it has seen does not get here.
-    assert learnt.unused <= 1.25 * learnt.seen
+    # What only fits the laps that it has seen makes the others worse.
+    assert learnt.unused <= 0.8 * learnt.named_alone
 
 
 @pytest.mark.slow
