@@ -195,6 +195,7 @@ def check_against_reference(machine: Machine, signals: Signals) -> Estimates:
         pytest.param({"relinearise": "newest"}, id="newest"),
         pytest.param({"kind": "ekf"}, id="ekf"),
         pytest.param({"kind": "ekf", "parameters": ["stiffness", "coulomb"]}, id="ekf and level"),
+        pytest.param({"noise": {"colour": 8.0}}, id="known colour"),
     ],
 )
 def test_emitted_deviations_are_those_of_the_reference(estimator: dict[str, Any], precision: str) -> None:

@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sgms_mhe.api.estimation import estimate, predict
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.identification import Identification, Wanted, identify
 from sgms_mhe.identification.description import STAND_IN, _number
 from sgms_mhe.identification.fits import NumberEstimate
+from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.status import FLAGS
 
 Array = NDArray[np.float64]
 COUNT = 2.0 * math.pi / 2**14
@@ -150,6 +153,36 @@ def test_runs_of_one_direction_each_are_told_by_all_together() -> None:
     within(found, coulomb=8.0, viscous=2.3, unbalance__amplitude_N=38.5)
     assert found.number("coulomb").std < 0.1 and found.number("coulomb").determined
     assert found.limits[0].startswith("the file is that of least squares")
+
+
+# --- what is left of the logs, for the estimator ---------------------------------------------------------------------
+
+
+def test_an_estimator_is_quiet_on_the_logs_that_made_it_and_loud_on_another_axis() -> None:
+    """A force that nothing explains, 0.2 N m over 0.5 s, colours what is left: that is no news of the axis."""
+    rate = 250.0
+    time = np.arange(int(20 * rate)) / rate
+    velocity = 2.0 * np.sin(2.3 * time) + 1.0 * np.sin(5.1 * time)
+
+    def log(seed: int, ripple: float) -> Log:
+        white = np.random.default_rng(seed).standard_normal((2, len(time)))
+        keep = math.exp(-1.0 / (0.5 * rate))
+        left = lfilter([0.2 * math.sqrt(1.0 - keep**2)], [1.0, -keep], white[0]) + 0.01 * white[1]
+
+        def torque(a: Array, v: Array, q: Array) -> Array:
+            return 0.02 * a + 0.15 * np.tanh(v / 0.01) + 0.05 * v + ripple * np.sin(3.0 * q) + left
+
+        return joint_log(velocity, rate, COUNT, torque)
+
+    def doubted(machine: Machine, log: Log) -> float:
+        return float(np.mean(estimate(machine, log).status & FLAGS["doubt"] != 0))
+
+    made = log(1, 0.0)
+    machine = identify([made], Wanted("joint")).machine
+    unknown = override_machine(machine, {"estimator": {"noise": {"colour": 1.0}}})
+    assert doubted(unknown, made) > 0.8 and doubted(machine, made) <= 0.05
+    assert doubted(machine, log(2, 0.0)) < 0.5 * doubted(unknown, log(2, 0.0))
+    assert doubted(machine, log(4, 0.5)) > 0.9
 
 
 # --- at rest within a count ------------------------------------------------------------------------------------------

@@ -66,22 +66,24 @@ class LastingRule:
 
     Attributes:
         first: information of the mean over blocks of innovations before any: the measurements of a block.
+        colour: that mean, as the axis is known for.
         block: intervals with motion of a block.
         most: a block's square counts no more than so many times what it is on average.
         forgets: share that a mean over blocks forgets with an interval.
-        doubted: factor beyond which the measurements contradict the model.
+        doubted: factor, over that colour, beyond which the measurements contradict the model.
     """
 
     first: float
+    colour: float
     block: int = 50
     most: float = 100.0
     forgets: float = 0.001
     doubted: float = 2.0
 
     @classmethod
-    def of(cls, measurements: int) -> LastingRule:
+    def of(cls, measurements: int, colour: float) -> LastingRule:
         """The rule for so many measurements in an interval."""
-        return cls(first=float(cls.block * measurements))
+        return cls(first=float(cls.block * measurements), colour=colour)
 
 
 @dataclass(frozen=True)
@@ -374,7 +376,7 @@ def _weights(model: Model, variant: Variant) -> EmittedWeights:
     return EmittedWeights(
         measurement=noise.measurement,
         readings=ReadingRule(),
-        lasting=LastingRule.of(machine.sampling.readings_per_update),
+        lasting=LastingRule.of(machine.sampling.readings_per_update, noise.colour),
         prior_sd=tuple(model.prior),
         drift_sd=tuple(model.drift) if variant.drifts else (0.0,) * model.n_p,
         drift_interval=machine.estimator.drift_interval,

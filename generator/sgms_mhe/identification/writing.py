@@ -29,14 +29,14 @@ BOUNDS: Final = {"coulomb": [0.3, 3.0], "viscous": [0.1, 5.0]}
 KEPT_ESTIMATOR: Final = ("kind", "horizon", "relinearise", "arrival_cost")
 
 
-def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurement: float | None) -> dict[str, Any]:
+def machine_content(base: Machine, law: Law, numbers: Sequence[Number], noise: Mapping[str, float]) -> dict[str, Any]:
     """Content of the machine file.
 
     Args:
         base: name, rates and what was taken over from another file.
         law: of the elements.
         numbers: as described.
-        measurement: noise of the measured friction [N, N m]; None: not known yet.
+        noise: what is known of [estimator.noise].
     """
     by_name = {number.name: number for number in numbers}
     units = base.plant.units
@@ -56,8 +56,7 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurem
     estimator = {key: entry for key, entry in base.content.get("estimator", {}).items() if key in KEPT_ESTIMATOR}
     estimator["parameters"] = estimated
     estimator["noise"] = dict(base.content.get("estimator", {}).get("noise", {}))
-    if measurement is not None:
-        estimator["noise"]["measurement"] = float(f"{measurement:.3g}")
+    estimator["noise"] |= {name: float(f"{value:.3g}") for name, value in noise.items()}
     estimator["bounds"] = {name: BOUNDS[name] for name in estimated}
     effects: dict[str, dict[str, Any]] = {}
     for name, number in value.items():
@@ -134,6 +133,9 @@ def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
     notes["sampling.position_step"] = f"{units.position}, of the encoder: readings so near to the axis are no motion"
     notes["estimator.noise.measurement"] = (
         f"{units.force}, 1 sigma: what the model leaves of the logs, sample by sample"
+    )
+    notes["estimator.noise.colour"] = (
+        "of it: 1 where samples are independent; the estimator doubts beyond twice as much"
     )
     return notes
 

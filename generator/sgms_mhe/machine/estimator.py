@@ -32,6 +32,13 @@ class Noise(MachineTable):
     state_as: Literal["force", "deflection"] = text(
         "node state that the noise acts on", "force (element force) or deflection (the paper)", "force"
     )
+    colour: float = quantity(
+        "mean square of a sum of so many innovations over their number, as the axis is known to leave it",
+        "1",
+        1.0,
+        ge=1,
+        le=1e6,
+    )
     self_scaling: bool = text(
         "readings count less while they contradict what the estimator predicts of them", "true or false", True
     )

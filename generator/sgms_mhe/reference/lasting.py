@@ -19,7 +19,7 @@ MOST = 100.0
 FORGETS = 0.001
 """Share that a mean over updates forgets with one."""
 DOUBTED = 2.0
-"""Factor beyond which the measurements contradict the model."""
+"""Factor, over the one that the axis is known for, beyond which the measurements contradict the model."""
 
 
 @dataclass
@@ -28,16 +28,18 @@ class InnovationColour:
 
     Attributes:
         first: information of the mean before any block, the measurements of one; independent innovations make 1.
+        known: that mean.
         length: intervals after which a block ends.
         block: the block's intervals so far.
     """
 
     first: float
+    known: float = 1.0
     length: int = BLOCK
     block: list[Sequence[Innovation]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.squares = self.information = self.first
+        self.squares, self.information = self.known * self.first, self.first
 
     def take(self, interval: Sequence[Innovation]) -> None:
         """Take the innovations of an interval in."""
@@ -105,16 +107,18 @@ class LastingErrors:
     Args:
         drift: random walk of theta per update (n_p), 1 sigma.
         measurements: in an interval.
+        colour: factor that the axis is known for.
         enabled: whether variances are scaled at all.
         length: intervals after which a block ends; its numbers count as those of BLOCK.
     """
 
-    def __init__(self, drift: Array, measurements: int, *, enabled: bool, length: int = BLOCK) -> None:
-        self._enabled = enabled
-        self._colour, self._wander = (
-            InnovationColour(float(BLOCK * measurements), length),
-            ParameterWander(drift, length),
-        )
+    def __init__(
+        self, drift: Array, measurements: int, *, colour: float = 1.0, enabled: bool, length: int = BLOCK
+    ) -> None:
+        colour = colour if enabled else 1.0
+        self._enabled, self._doubted = enabled, DOUBTED * colour
+        self._colour = InnovationColour(float(BLOCK * measurements), colour, length)
+        self._wander = ParameterWander(drift, length)
 
     def take(self, interval: Sequence[Innovation], theta: Array, variance: Array) -> None:
         """Take an update with motion in: its innovations, its estimate and the variances of that (n_p)."""
@@ -130,4 +134,4 @@ class LastingErrors:
     @property
     def doubts(self) -> bool:
         """Return True if a variance would have to be so much larger that the model is contradicted."""
-        return bool(np.any(self.spread > DOUBTED))
+        return bool(np.any(self.spread > self._doubted))

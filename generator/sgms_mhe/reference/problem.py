@@ -60,6 +60,7 @@ class Weights:
         drift: random walk of theta per update (n_p).
         lower, upper: bounds on theta (n_p), infinite where there are none.
         self_scaling: whether measurements are weighed by how well they were predicted.
+        colour: of their innovations, as the axis is known for: a squared sum over its number.
         hold_path: motion since an interval that counted, below which one does not count [m].
         max_velocity: speed beyond which the estimate is flagged [m/s].
         lasting_block: intervals after which a block of errors that stay ends.
@@ -77,6 +78,7 @@ class Weights:
     lower: Array
     upper: Array
     self_scaling: bool
+    colour: float
     hold_path: float
     max_velocity: float
     lasting_block: int = BLOCK
@@ -102,6 +104,7 @@ class Weights:
             lower=np.array([p.lower for p in model.parameters]),
             upper=np.array([p.upper for p in model.parameters]),
             self_scaling=noise.self_scaling,
+            colour=noise.colour,
             hold_path=HOLD_PART * float(scales.min()),
             max_velocity=machine.sampling.max_velocity,
         )
@@ -201,9 +204,14 @@ class NodeRecord:
 
     def start_lasting(self, *, drifts: bool = True) -> LastingErrors:
         """Errors of the model that stay, before any measurement; `drifts`: whether the drift of theta enters at all."""
-        drift, measurements = drifts * self.weights.drift, 1 + self.inner_y.shape[1]
         weights = self.weights
-        return LastingErrors(drift, measurements, enabled=weights.self_scaling, length=weights.lasting_block)
+        return LastingErrors(
+            drifts * weights.drift,
+            1 + self.inner_y.shape[1],
+            colour=weights.colour,
+            enabled=weights.self_scaling,
+            length=weights.lasting_block,
+        )
 
     def moves(self, interval: int) -> bool:
         """Return True if an interval counts as motion: theta drifts, and its innovations tell of errors that stay."""

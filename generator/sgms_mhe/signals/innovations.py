@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -18,6 +19,10 @@ MOST_RATIO: Final = 25.0
 """Test ratio that a measurement counts with at the most: beyond, it is a fault."""
 LEAST_UPDATES: Final = 100
 """Updates with a measurement in motion that it takes to tell weights apart."""
+BLOCK: Final = 50
+"""Updates in motion over which an estimator sums innovations up."""
+MOST_SIZE: Final = 3.0
+"""Innovation over its predicted deviation that counts in such a sum, at the most."""
 NOISE_FITS: Final = (0.1, 3.0)
 """Noise that innovations speak for, over the stated one, within which there is nothing to say: room is no mistake."""
 
@@ -39,6 +44,20 @@ def moving_updates(estimates: Estimates) -> Mask:
     counted &= np.isfinite(estimates.test_ratio) & (estimates.innovation_N != 0.0)
     counted[: min(len(counted), 10)] = False
     return counted
+
+
+def find_colour(records: Sequence[Estimates]) -> float:
+    """Return the mean square of a block's sum of innovations over their number; 1, of independent ones, at least.
+
+    As the estimator finds it (docs/faults.md), of the newest measurement of each update.
+    """
+    sums = []
+    for estimates in records:
+        counted = moving_updates(estimates)
+        size = np.copysign(np.minimum(np.sqrt(estimates.test_ratio), MOST_SIZE), estimates.innovation_N)[counted]
+        sums.append(size[: len(size) // BLOCK * BLOCK].reshape(-1, BLOCK).sum(axis=1))
+    square = np.concatenate(sums) ** 2
+    return max(1.0, float(square.mean()) / BLOCK) if len(square) else 1.0
 
 
 def stated_noise(estimates: Estimates) -> float:
