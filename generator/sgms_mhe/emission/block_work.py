@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 
 from sgms_mhe.emission.compensation import FARTHEST_MOVE
@@ -22,145 +21,104 @@ ROW_OF_STAGE, ROW_OF_LAST_STAGE = 5, 12
 """State and sum of a row that moves in one Runge-Kutta stage; in the last one its end as well."""
 
 
-@dataclass(frozen=True)
 class GroupWork:
-    """Operations of a group, at most.
+    """Operations of a group's blocks, at most.
 
     Attributes:
-        shared: of a step of the series, once for blocks that see the same signals.
-        steps: of a step of the series, block by block.
-        together: of a step of the series, all blocks at the same signals.
-        ahead: of the propagation ahead, all blocks.
-        substeps: Runge-Kutta substeps of a step, block by block; 0 where elements switch.
+        step: of a step of the series, whose signals all blocks see.
+        ahead: of the propagation ahead.
+        substeps: Runge-Kutta substeps of a step of the block that takes most of them; 0 where elements switch.
     """
-
-    shared: int
-    steps: tuple[int, ...]
-    together: int
-    ahead: int
-    substeps: tuple[int, ...]
-
-
-def group_work(g: GroupView, of: PackageView) -> GroupWork:
-    """The work of a group's blocks."""
-    costs = _Costs(g, of)
-    return GroupWork(
-        shared=3 * costs.level + 45 if g.slides and of.variant.merges else 0,
-        steps=tuple(costs.step(k) for k in range(len(g.blocks))),
-        together=costs.together(),
-        ahead=sum(costs.ahead(k) for k in range(len(g.blocks))),
-        substeps=tuple(costs.most_substeps(k) for k in range(len(g.blocks))),
-    )
-
-
-class _Costs:
-    """Costs of one group."""
 
     def __init__(self, g: GroupView, of: PackageView) -> None:
         m, n_q, rows = g.sizes.m, g.sizes.n_q, g.sizes.rows
         self.g, self.of = g, of
+        self.rates = [
+            {name: rate for (name, _), rate in zip(g.rates, block.constants[g.sizes.n_data :], strict=True)}
+            for block in g.blocks
+        ]
         self.level = operations_of(g.level)
         self.rhs = LAW + 6 * n_q + self.level if g.obeys_law else operations_of(g.rhs)
         self.drive = DRIVE + self.level if g.obeys_law else 0
         stage = self.rhs + m * m * (2 * m - 1) + 2 * m * m * n_q
         self.substep = len(RK4) * (stage + ROW_OF_STAGE * rows) + (ROW_OF_LAST_STAGE - ROW_OF_STAGE) * rows
         # Times within a step at which terms are interpolated; the start of a substep is the end of the one before.
-        self.times = 1 + sum(before.c != after.c for before, after in pairwise(RK4))
+        times = 1 + sum(before.c != after.c for before, after in pairwise(RK4))
         self.interpolated = 6 + 3 * len(of.signals.raw) + operations_of(of.model.sample_terms)
+        self.substep_of_line = self.substep + times * (self.interpolated + self.drive)
+        # The states that set a level, over one step.
+        self.upstream = operations_of(g.upstream) + (m - 1) * (3 * m + 4 * n_q)
+        substeps = [self._most_substeps(k) for k in range(len(g.blocks))]
+        self.substeps = max(substeps)
+        self.step = self._step(substeps)
+        self.ahead = sum(self._ahead(k) for k in range(len(g.blocks)))
 
     # --- a step of the series ---
 
-    def runge_kutta(self, substeps: int) -> int:
-        """Substeps at constant signals."""
-        return 1 + self.drive + substeps * self.substep
+    def _runge_kutta(self, substeps: int, each: int) -> int:
+        return 1 + self.drive + substeps * each
 
-    def count_line_substeps(self, substeps: int) -> int:
-        """Substeps along the line of a step."""
-        return 1 + self.drive + substeps * (self.substep + self.times * (self.interpolated + self.drive))
-
-    def most_substeps(self, k: int) -> int:
-        """Runge-Kutta substeps that block k takes of a step, at most."""
+    def _most_substeps(self, k: int) -> int:
         g, sizes = self.g, self.of.sizes
         if g.switches:
             return 0
-        if not g.follows_flow:
-            return max(sizes.least_substeps, math.ceil(self._rate(k, "MOST")))
-        return max(self.slow_steps(k), sizes.merged - 1)
+        if g.follows_flow:
+            return max(self._slow_steps(k), sizes.merged - 1)
+        return max(sizes.least_substeps, math.ceil(self.rates[k]["MOST"]))
 
-    def slow_steps(self, k: int) -> int:
+    def _slow_steps(self, k: int) -> int:
         """Substeps of block k below the flow's gate."""
-        return self.g.slow_steps or int(self._rate(k, "SLOW"))
+        return self.g.slow_steps or int(self.rates[k]["SLOW"])
 
-    def step(self, k: int) -> int:
-        """A step of the series of block k."""
-        g, variant, merged = self.g, self.of.variant, self.of.sizes.merged
+    def _step(self, substeps: list[int]) -> int:
+        g, merges = self.g, self.of.variant.merges
         if g.switches:
-            return self._switching_step()
-        if not variant.merges:
-            if g.follows_flow:
-                return self._sample(k)
-            return 8 + self.runge_kutta(self.most_substeps(k))
-        if not g.follows_flow:
-            most = self.most_substeps(k)
-            pieces = max(most + 2, 2 * self.of.sizes.least_substeps)
-            return 16 + max(
-                self.count_line_substeps(most),
-                12 + 6 * self.interpolated + self.drive + self.count_line_substeps(pieces),
-            )
-        return self._merged_rest() + max(self._samplewise(k, self._most_slow(k)), self._cut(merged - 1))
+            return len(g.blocks) * self._switching_step()
+        if g.follows_flow and merges:
+            return self._merged_step()
+        if g.follows_flow:
+            return sum(self._sample(self._slow_steps(k)) for k in range(len(g.blocks)))
+        if not merges:
+            return sum(8 + self._runge_kutta(most, self.substep) for most in substeps)
+        # Cut in two, of which each takes a substep more.
+        cut = 28 + 6 * self.interpolated + self.drive
+        pieces = (max(most + 2, 2 * self.of.sizes.least_substeps) for most in substeps)
+        return sum(cut + self._runge_kutta(count, self.substep_of_line) for count in pieces)
 
-    def together(self) -> int:
-        """A step of the series of all blocks, whose signals are the same.
+    def _merged_step(self) -> int:
+        """A step of merged samples by the flow.
 
-        Where samples merge, blocks of one group want substeps in a fixed ratio, at any speed. Those that want MERGED or
-        more go sample by sample, which costs less than a step that is cut in two just below it: they are not all there
-        at once. The larger of the two pieces' speeds decides.
+        Blocks of one group want substeps in a fixed ratio, at any speed. Those that want MERGED or more go sample by
+        sample, which costs less than a step that is cut in two just below it: they are not all there at once. The
+        larger of the two pieces' speeds decides.
         """
-        merged, blocks = self.of.sizes.merged, range(len(self.g.blocks))
-        steps = [self.step(k) for k in blocks]
-        if not (self.of.variant.merges and self.g.follows_flow):
-            return sum(steps)
-        wanted = [self._rate(k, "SUBSTEPS") for k in blocks]
-        samplewise = [self._samplewise(k, self._most_slow(k)) for k in blocks]
-        fast = [self._samplewise(k, 0) for k in blocks]
-        most = sum(samplewise)
-        for own in set(wanted):
+        g, merged, blocks = self.g, self.of.sizes.merged, range(len(self.g.blocks))
+        above = self._sample(0)
+        fast = merged * (self.interpolated + 2 + above)
+        alone = [fast + self._most_slow(k) * (self._sample(self._slow_steps(k)) - above) for k in blocks]
+        most = sum(alone)
+        for own in {rates["SUBSTEPS"] for rates in self.rates}:
             for count in range(1, merged):
-                counts = [math.ceil(count * w / own + self._rate(k, "AT_REST")) for k, w in enumerate(wanted)]
-                taken = [
-                    alone if c >= merged else max(self._cut(c), above if 2 * c > merged else 0)
-                    for c, alone, above in zip(counts, samplewise, fast, strict=True)
-                ]
-                most = max(most, sum(taken))
-        return len(steps) * self._merged_rest() + most
+                taken = 0
+                for k, rates in enumerate(self.rates):
+                    wanted = math.ceil(count * rates["SUBSTEPS"] / own + rates["AT_REST"])
+                    cut = 12 + 6 * self.interpolated + 2 * self._runge_kutta(wanted, self.substep_of_line)
+                    taken += alone[k] if wanted >= merged else max(cut, fast if 2 * wanted > merged else 0)
+                most = max(most, taken)
+        once, each = (3 * self.level + 45, self.level + 17 + 4 * g.sizes.n_q + self._slide()) if g.slides else (0, 0)
+        return once + len(blocks) * (27 + each) + most
 
     def _switching_step(self) -> int:
-        """A step of the series of an element that switches."""
-        g, merged = self.g, self.of.sizes.merged
+        """A step of the series of an element that switches: on its way, with the states that set its level."""
+        g, m, n_q, merged = self.g, self.g.sizes.m, self.g.sizes.n_q, self.of.sizes.merged
+        clip = self.level + 6 + 3 * n_q
+        if g.n_upstream:
+            clip = self.upstream + self.level + 4 + max(1 + (m + n_q) * (2 * m - 1), 2 * n_q)
         if not self.of.variant.merges:
-            return WAY + self._clip()
+            return WAY + clip
         if g.at_once:
-            return 4 + 3 * WAY + 14 + self.interpolated + 2 * self._clip()
-        return merged * (self.interpolated + 5 + WAY + self._clip())
-
-    def _clip(self) -> int:
-        """An element on its way, and the states that set its level."""
-        g, m, n_q = self.g, self.g.sizes.m, self.g.sizes.n_q
-        if not g.n_upstream:
-            return self.level + 6 + 3 * n_q
-        slips = 1 + (m + n_q) * (1 + 2 * (m - 1))
-        return self._upstream() + self.level + 4 + max(slips, 2 * n_q)
-
-    def _upstream(self) -> int:
-        """The states that set a level, over one step."""
-        m = self.g.sizes.m
-        return operations_of(self.g.upstream) + (m - 1) * (3 * m + 4 * self.g.sizes.n_q)
-
-    def _samplewise(self, k: int, slow: int) -> int:
-        """Merged samples of block k, one by one, of which so many are below the flow's gate."""
-        merged = self.of.sizes.merged
-        fast = self._sample(k, is_slow=False)
-        return merged * (self.interpolated + 2 + fast) + slow * (self._sample(k) - fast)
+            return 4 + 3 * WAY + 14 + self.interpolated + 2 * clip
+        return merged * (self.interpolated + 5 + WAY + clip)
 
     def _most_slow(self, k: int) -> int:
         """Return how many merged samples of block k that are taken one by one are below the flow's gate, at most.
@@ -170,32 +128,18 @@ class _Costs:
         more over the step. Either way it is below the gate for gate / speed of the step, at most.
         """
         merged, gate = self.of.sizes.merged, self.of.flow.gate_velocity if self.of.flow else 0.0
-        speed = (merged - 1 - self._rate(k, "AT_REST")) / self._rate(k, "SUBSTEPS")
+        speed = (merged - 1 - self.rates[k]["AT_REST"]) / self.rates[k]["SUBSTEPS"]
         return min(merged, int(merged * gate / speed) + 1) if speed > 0.0 else merged
 
-    def _cut(self, count: int) -> int:
-        """A step cut in two, each piece of `count` substeps."""
-        return 12 + 6 * self.interpolated + 2 * self.count_line_substeps(count)
-
-    def _merged_rest(self) -> int:
-        """Count the work of a block in a step of merged samples, beside its Runge-Kutta steps or samples."""
-        slide = self.level + 17 + 4 * self.g.sizes.n_q + self._slide() if self.g.slides else 0
-        return 27 + slide
-
-    def _rate(self, k: int, name: str) -> float:
-        """A number of block k's substeps."""
-        place = [rate for rate, _ in self.g.rates].index(name)
-        return self.g.blocks[k].constants[self.g.sizes.n_data + place]
-
-    def _sample(self, k: int, *, is_slow: bool = True) -> int:
-        """A step at constant signals by the flow, below its gate or above it."""
+    def _sample(self, slow_steps: int) -> int:
+        """A step at constant signals by the flow, below its gate in so many Runge-Kutta steps or (0) above it."""
         g, m, n_q = self.g, self.g.sizes.m, self.g.sizes.n_q
-        slow = self.runge_kutta(self.slow_steps(k)) + (2 if g.paced and g.slow_steps != 1 else 0) if is_slow else 0
+        slow = self._runge_kutta(slow_steps, self.substep) + 2 * (g.paced and g.slow_steps != 1) if slow_steps else 0
+        flow = self._flow(EXP, 4)
         if g.n_upstream:
             sensitivities = n_q * (10 + 2 * (m - 1)) + m * (5 + 2 * (m - 1))
-            return 2 + max(slow, self._upstream() + self.level + 15 + self._flow_step() + sensitivities)
-        moving = self.level + 4 + self._flow_step() + 12 + 9 * n_q
-        return 2 * self.level + 18 + 4 * n_q + max(slow, self._slide(), moving)
+            return 2 + max(slow, self.upstream + self.level + 15 + flow + sensitivities)
+        return 2 * self.level + 18 + 4 * n_q + max(slow, self._slide(), self.level + 4 + flow + 12 + 9 * n_q)
 
     def _slide(self) -> int:
         """The short polynomial near the fixed point."""
@@ -203,35 +147,26 @@ class _Costs:
         near = 4 * (len(flow.table.near_forward) + len(flow.table.near_inverse)) if flow else 0
         return self.level + 80 + EXP + near + 9 * self.g.sizes.n_q
 
-    def _flow_step(self) -> int:
-        """psi, its inverse and their derivatives, or what lies beside the table."""
-        return self._psi_and_back(EXP, 4)
-
-    def _psi_and_back(self, inverse: int, polynomials: int) -> int:
+    def _flow(self, inverse: int, polynomials: int) -> int:
         """psi, its inverse (an exponential of this cost) and so many polynomials, or what lies beside the table."""
-        return 12 + EXP + LOG + 30 + inverse + polynomials * self._degree()
-
-    def _degree(self) -> int:
-        """Multiplications and additions of one polynomial of the table."""
-        return 2 * self.of.flow.table.degree if self.of.flow else 0
+        degree = self.of.flow.table.degree if self.of.flow else 0
+        return 42 + EXP + LOG + inverse + 2 * polynomials * degree
 
     # --- ahead ---
 
-    def ahead(self, k: int) -> int:
+    def _ahead(self, k: int) -> int:
         """The propagation ahead of block k, over the lag and over the delay."""
         compensation = self.of.compensation
         lag = compensation.lag + (self.of.signals.step_time if self.of.variant.merges else 0.0)
-        durations = [lag, compensation.delay][: compensation.moves]
-        return sum(self._move(k, duration) for duration in durations)
+        return sum(self._move(k, duration) for duration in (lag, compensation.delay)[: compensation.moves])
 
     def _move(self, k: int, duration: float) -> int:
-        """One move of block k."""
         g, ahead, signals = self.g, self.of.compensation.ahead, self.of.signals
         upstream = operations_of(g.upstream) * (1 + round(duration * signals.rate))
         if ahead is None:
             return upstream + self.level + 10
         per_metre, per_second = g.blocks[k].ahead_steps
-        flowed = self._psi_and_back(EXP2, 2)
+        flowed = self._flow(EXP2, 2)
         speed = signals.max_velocity
         if g.slow_ahead:
             steps = 1 + int(ahead.gate_velocity * ahead.longest * per_metre)

@@ -6,13 +6,13 @@ one needs; docs/emission.md tells what an operation is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from bisect import bisect_right
+from itertools import accumulate
+from typing import NamedTuple
 
-from sgms_mhe.emission.block_work import GroupWork, group_work
+from sgms_mhe.emission.block_work import GroupWork
 from sgms_mhe.emission.budget import Part, Work
 from sgms_mhe.emission.context import PackageView
-from sgms_mhe.emission.groups import GroupView
 from sgms_mhe.emission.operations import (
     SQRT,
     added_row,
@@ -30,8 +30,7 @@ SAMPLE = 60
 """What a sample takes beside: checks, path, course ahead, ramp, limit."""
 
 
-@dataclass(frozen=True)
-class Unit:
+class Unit(NamedTuple):
     """Unit of prepare(): its cost to the schedule, its operations at most, and whether it is a step of the series."""
 
     cost: int
@@ -42,21 +41,19 @@ class Unit:
 def work_of(of: PackageView) -> Work:
     """The work of a package."""
     sizes, variant = of.sizes, of.variant
-    groups = [(g, group_work(g, of)) for g in of.groups]
+    groups = [(g, GroupWork(g, of)) for g in of.groups]
     terms, signals = operations_of(of.model.sample_terms), len(of.signals.raw)
     least_squares = _LeastSquares(of)
-    newest = {g.name: work.shared + work.together for g, work in groups}
-    ahead = {g.name: work.ahead for g, work in groups}
     without_step = (
         FILTERS + SAMPLE + of.compensation.moves * terms + operations_of(of.model.feed_forward) + sizes.states
     )
-    without_step += of.signals.mean_samples + 4 * signals + sum(ahead.values())
+    without_step += of.signals.mean_samples + 4 * signals + sum(work.ahead for _, work in groups)
     at_nodes = sizes.nodes * (terms + 3 * signals)
-    newest_step = at_nodes + sum(newest.values())
-    reading = least_squares.taken() if sizes.inner else 0
+    newest_step = at_nodes + sum(work.step for _, work in groups)
+    reading = least_squares.taken if sizes.inner else 0
     sample = without_step + newest_step + reading
-    of_step = _step(groups, of)
-    anew = sum(of_step.values()) + (at_nodes if variant.relinearise == "auto" else 0)
+    intervals = {"all": sizes.slots, "auto": 1, "newest": 0}[variant.relinearise]
+    anew = intervals * (newest_step - at_nodes) + (at_nodes if variant.relinearise == "auto" else 0)
     feedback = least_squares.feedback()
     units, in_sample, left_over = [], [], 0
     if variant.horizon:
@@ -70,12 +67,12 @@ def work_of(of: PackageView) -> Work:
         tick = max(without_step + at_once, sample, sample - reading + feedback)
     else:  # the sample that ends an interval has no measurement inside it
         tick = max(sample + at_once, sample - reading + feedback)
-    steps_in_sample = sum(unit.is_step for unit in in_sample)
-    parts = tuple(
+    steps = 1 + intervals * sum(unit.is_step for unit in in_sample)
+    parts = (
         Part(
             states=tuple(of.model.state_names[i] for b in g.blocks for i in b.states),
-            operations=newest[g.name] + ahead[g.name] + steps_in_sample * of_step.get(g.name, 0),
-            substeps=max(work.substeps),
+            operations=work.ahead + steps * work.step,
+            substeps=work.substeps,
             in_closed_form=g.follows_flow or g.switches,
         )
         for g, work in groups
@@ -92,64 +89,46 @@ def work_of(of: PackageView) -> Work:
     )
 
 
-def _step(groups: Sequence[tuple[GroupView, GroupWork]], of: PackageView) -> dict[str, int]:
-    """Return the operations of each group in one step of the series of older intervals."""
-    intervals = {"all": of.sizes.slots, "auto": 1, "newest": 0}[of.variant.relinearise]
-    return {g.name: intervals * (work.shared + work.together) for g, work in groups}
-
-
 class _LeastSquares:
-    """Costs of measurements, of the sweep and of the feedback."""
+    """Costs of measurements, of the sweep and of the feedback.
+
+    Attributes:
+        folded: of a measurement into the factor.
+        taken: of one inside the newest interval; a filter folds it at once.
+    """
 
     def __init__(self, of: PackageView) -> None:
         self.of, self.sizes, self.variant = of, of.sizes, of.variant
         sizes, n_x, n_p = of.sizes, of.sizes.states, of.sizes.parameters
-        kept, factor = sizes.kept_width, sizes.factor_rows
-        width = factor + 1
-        self.condensed = sum(reflection(rows, kept, c) for c, rows in enumerate(of.couplings.reach))
+        entered, factor, width = sizes.entered, sizes.factor_rows, sizes.factor_rows + 1
+        self.condensed = sum(reflection(rows, sizes.kept_width, c) for c, rows in enumerate(of.couplings.reach))
         self.condensed += sum(reflection(n_x - 1 - c, width, c) for c in range(n_x - 1)) + n_x
         self.output = operations_of(of.model.output)
-        self.node_row = self.output + 2 * factor + 1
-        self.inner_row = self.output + 1 + 2 * n_x * (sizes.coupled + sizes.entered + 1) + 2 * n_p
-        # A self-scaled measurement takes its innovation in besides, and an update the factors on variances.
-        self.lasting = 24 + 19 * n_p if of.variant.self_scaling else 0
+        self.start_row = self.output + 2 * factor + 1 + width
         weighed = sum(2 * i + 5 for i in range(factor)) + 30 + SQRT + (7 + SQRT if of.variant.self_scaling else 0)
         self.folded = weighed + width + added_row(factor)
-        self.start_row = self.node_row + width
         self.fold_start = self.start_row + added_row(factor)
-        self.defect = 3 * sizes.coupled + 4 * sizes.entered + 3
-        self.drift = variances(n_p) + 6 * n_p + 30 * n_p + grown(factor, n_p) if of.variant.drifts else 0
-        self.map = sum(g.n_blocks * self._end(g.m, g.n_q) for g in sizes.groups)
-
-    def _end(self, m: int, n_q: int) -> int:
-        entered = self.sizes.entered
-        return m * (1 + entered + n_q * (1 + 2 * entered) + m * (4 + 2 * entered))
-
-    def ends(self) -> int:
-        """Map of an interval from its blocks, and its defects."""
-        return self.map + self.sizes.states * self.defect
-
-    def taken(self) -> int:
-        """A measurement inside the newest interval; a filter folds it at once."""
-        return self.map + self.inner_row + (0 if self.variant.horizon else self.folded)
-
-    def kept(self) -> int:
-        """The triangle of an interval's rows."""
-        rows, width = self.sizes.inner, self.sizes.factor_rows + 1
-        return sum(reflection(rows - 1 - c, width, c) for c in range(min(rows, width - 1)))
+        self.drift = variances(n_p) + 36 * n_p + grown(factor, n_p) if of.variant.drifts else 0
+        # The map of an interval from its blocks, a measurement inside by it, its defects, the triangle of its rows.
+        by_state = (1 + entered + g.n_q * (1 + 2 * entered) + g.m * (4 + 2 * entered) for g in sizes.groups)
+        blocks = sum(g.n_blocks * g.m * each for g, each in zip(sizes.groups, by_state, strict=True))
+        inner_row = blocks + self.output + 1 + 2 * n_x * (sizes.coupled + entered + 1) + 2 * n_p
+        self.taken = inner_row + (0 if of.variant.horizon else self.folded)
+        self.renewed = inner_row + width
+        self.ends = blocks + n_x * (3 * sizes.coupled + 4 * entered + 3)
+        self.kept = sum(reflection(sizes.inner - 1 - c, width, c) for c in range(min(sizes.inner, factor)))
 
     def steps(self, step: int) -> list[int]:
         """Return the operations of each step of the older intervals: measurements inside, the start and the end."""
         sizes, relinearise = self.sizes, self.variant.relinearise
         if relinearise == "newest" or sizes.slots == 1:
             return []
-        renewed = self.map + self.inner_row + sizes.factor_rows + 1
         steps = [step] * sizes.steps
         for j in range(sizes.inner):
-            steps[(j + 1) * sizes.spacing - 1] += renewed * (sizes.slots - 1 if relinearise == "all" else 1)
+            steps[(j + 1) * sizes.spacing - 1] += self.renewed * (sizes.slots - 1 if relinearise == "all" else 1)
         if relinearise == "auto":
-            steps[0] += sum(len(own) for own in sizes.block_states)
-            steps[-1] += self.ends() + (self.kept() if sizes.inner else 0)
+            steps[0] += sum(map(len, sizes.block_states))
+            steps[-1] += self.ends + self.kept
         return steps
 
     def readings(self) -> int:
@@ -160,46 +139,47 @@ class _LeastSquares:
         is_triangle = self.variant.relinearise != "all"
         rows = 1 + (sizes.inner_rows if is_triangle else sizes.inner)
         reach = (min(c + 2, rows) if is_triangle else rows for c in range(sizes.factor_rows))
-        folded: int = sum(reflection(below, width, c) for c, below in enumerate(reach))
-        return self.start_row + folded
+        return self.start_row + sum(reflection(below, width, c) for c, below in enumerate(reach))
 
     def units(self, step: int, condensed: int) -> list[Unit]:
         """Return the units of prepare() in their order; so many intervals are condensed."""
-        sizes, variant = self.sizes, self.variant
+        sizes, variant, costs = self.sizes, self.variant, self.of.schedule
         n_x, n_p = sizes.states, sizes.parameters
         expand = 2 * n_x * (n_x + n_p) + back_substitution(n_x)
+        start = self.fold_start + self.drift + (2 * n_x + n_p if variant.fixed else 0)
+        condense = self.condensed + self.fold_start
         if variant.relinearise == "auto":
             expand += n_x * (2 * sizes.coupled + 2 * sizes.entered + 6) + 2
-        start = self.fold_start + self.drift + (2 * n_x + n_p if variant.fixed else 0)
         if variant.relinearise == "all":
-            start += sizes.slots * sum(len(own) for own in sizes.block_states)
-        elif sizes.inner:
-            start += self.kept()
-        condense = self.condensed + self.fold_start + (self.ends() if variant.relinearise == "all" else 0)
-        costs = self.of.schedule
-        swept = [Unit(costs.readings, self.readings()), Unit(costs.condense, condense)]
+            start += sizes.slots * sum(map(len, sizes.block_states))
+            condense += self.ends
+        else:
+            start += self.kept
         return [
             *[Unit(costs.expand, expand)] * (sizes.slots - 1),
             Unit(costs.condense, start),
             *(Unit(costs.step, operations, is_step=True) for operations in self.steps(step)),
-            *swept * condensed,
+            *[Unit(costs.readings, self.readings()), Unit(costs.condense, condense)] * condensed,
             *[Unit(costs.fold, self.folded)] * sizes.inner,
         ]
 
     def feedback(self) -> int:
         """An update whose preparation is done."""
-        sizes, variant = self.sizes, self.variant
-        n_x, n_p = sizes.states, sizes.parameters
+        sizes, variant, model = self.sizes, self.variant, self.of.model
+        n_x, n_p, factor = sizes.states, sizes.parameters, sizes.factor_rows
+        newest = self.ends + self.condensed + (0 if variant.horizon else self.drift)
+        reading = self.start_row - factor - 1 + self.folded
         solved = box_least_squares(n_p) if variant.bounded else back_substitution(n_p)
+        solved += 2 * n_x * factor + back_substitution(n_x)
         checked = variances(n_p) + 3 * n_x + 4 * n_p + 14 + self.output
-        again = n_x + n_p + operations_of(self.of.model.parameter_terms) + sum(map(len, sizes.block_states))
+        if variant.self_scaling:  # the measurement takes its innovation in, the update the factors on variances
+            checked += 24 + 19 * n_p
+        if self.of.weights.noise_length > 0.0:  # noise that comes with the path
+            checked += 8 + SQRT
+        again = n_x + n_p + operations_of(model.parameter_terms) + sum(map(len, sizes.block_states))
         if variant.bounded and not variant.horizon:  # the posterior's mean moves into the bounds
-            again += sizes.factor_rows * (sizes.factor_rows + 1)
-        newest = self.ends() + self.condensed + (0 if variant.horizon else self.drift)
-        reading = self.node_row + self.folded
-        # Noise that comes with the path.
-        checked += self.lasting + (8 + SQRT if self.of.weights.noise_length > 0.0 else 0)
-        return newest + reading + solved + 2 * n_x * (n_p + n_x) + back_substitution(n_x) + checked + again
+            again += factor * (factor + 1)
+        return newest + reading + solved + checked + again
 
 
 def _dearest_in_sample(least_squares: _LeastSquares, step: int) -> list[Unit]:
@@ -208,16 +188,11 @@ def _dearest_in_sample(least_squares: _LeastSquares, step: int) -> list[Unit]:
     Intervals are condensed from any one on, and where none is linearised anew there are no steps.
     """
     dearest: list[Unit] = []
-    most = 0
     for condensed in range(least_squares.sizes.slots):
         every = least_squares.units(step, condensed)
         for units in (every, [unit for unit in every if not unit.is_step]):
-            first = cost = operations = 0
-            for last, unit in enumerate(units):
-                cost, operations = cost + unit.cost, operations + unit.operations
-                while cost > least_squares.of.schedule.per_sample:
-                    cost, operations = cost - units[first].cost, operations - units[first].operations
-                    first += 1
-                if operations > most:
-                    most, dearest = operations, units[first : last + 1]
+            costs = [0, *accumulate(unit.cost for unit in units)]
+            ends = [bisect_right(costs, cost + least_squares.of.schedule.per_sample) - 1 for cost in costs]
+            rows = (units[first:end] for first, end in enumerate(ends))
+            dearest = max(dearest, *rows, key=lambda row: sum(unit.operations for unit in row))
     return dearest
