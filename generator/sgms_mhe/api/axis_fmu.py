@@ -62,7 +62,7 @@ def write_fmu(machine: Machine, version: Literal[2, 3]) -> WrittenAxis:
             "command": "export",
         },
         "units": machine.plant.units,
-        "signals": {"sample_time": machine.sampling.step},
+        "machine": machine,
         "delivery": {"sources": SOURCES, "variables": variables},
         "piece": "axis/fmi_axis.jinja",
         "refusable": "a parameter",

@@ -144,7 +144,7 @@ _Row = (
 
 
 def _inputs(view: PackageView) -> Iterator[_Row]:
-    units = view.units
+    units = view.machine.plant.units
     position, push = "position of the axis, one sample a step", f"drive {units.push}, what was fed forward included"
     yield "position", "Real", "input", dot_unit(units.position), position, "self->position", "0.0"
     yield units.push, "Real", "input", dot_unit(units.force), push, f"self->{units.push}", "0.0"
@@ -152,11 +152,11 @@ def _inputs(view: PackageView) -> Iterator[_Row]:
         text = f"{name} of the set-point while the answer to this sample acts; read where ahead is true"
         yield f"ahead_{name}", "Real", "input", dot_unit(unit), text, f"self->ahead_{name}", "0.0"
     yield "ahead", "Boolean", "input", "", "whether the set-point is given", "self->ahead", "false"
-    enabled = "true" if view.compensation.enabled else "false"
+    enabled = "true" if view.machine.compensation.enabled else "false"
     on = f"whether the {units.push} to feed forward is on, along its ramp"
     yield "compensate", "Boolean", "parameter", "", on, "self->compensate", enabled
     if not view.signals.mass_in_model:
-        mass, what = view.signals.mass, f"{units.inert} that moves, payload included"
+        mass, what = view.machine.plant.moved, f"{units.inert} that moves, payload included"
         code = f"self->{units.inert}"
         yield units.inert, "Real", "parameter", dot_unit(units.mass), what, code, repr(mass), mass / 20.0, 20.0 * mass
     if "position" in view.signals.read:
@@ -165,8 +165,9 @@ def _inputs(view: PackageView) -> Iterator[_Row]:
 
 
 def _outputs(view: PackageView) -> Iterator[_Row]:
-    force = dot_unit(view.units.force)
-    yield "feed_forward", "Real", "output", force, f"{view.units.push} to feed forward", "self->feed_forward"
+    units = view.machine.plant.units
+    force = dot_unit(units.force)
+    yield "feed_forward", "Real", "output", force, f"{units.push} to feed forward", "self->feed_forward"
     for name, unit, text in (
         ("friction", force, "friction at the last update"),
         ("friction_measured", force, "the newest reading of friction"),
@@ -188,7 +189,7 @@ def _outputs(view: PackageView) -> Iterator[_Row]:
 
 
 def _estimated_variables(view: PackageView) -> Iterator[_Row]:
-    unit = dot_unit(view.units.position)
+    unit = dot_unit(view.machine.plant.units.position)
     for i in range(view.sizes.elements):
         code = f"(double)now->deflection[{i}]"
         yield f"deflection[{i + 1}]", "Real", "output", unit, f"deflection of element {i + 1}", code

@@ -156,18 +156,19 @@ class GroupWork:
 
     def _ahead(self, k: int) -> int:
         """The propagation ahead of block k, over the lag and over the delay."""
-        compensation = self.of.compensation
-        lag = compensation.lag + (self.of.signals.step_time if self.of.variant.merges else 0.0)
-        return sum(self._move(k, duration) for duration in (lag, compensation.delay)[: compensation.moves])
+        sampling, compensation = self.of.machine.sampling, self.of.compensation
+        lag = compensation.lag + (sampling.merged * sampling.step if self.of.variant.merges else 0.0)
+        durations = (lag, self.of.machine.compensation.delay)[: compensation.moves]
+        return sum(self._move(k, duration) for duration in durations)
 
     def _move(self, k: int, duration: float) -> int:
-        g, ahead, signals = self.g, self.of.compensation.ahead, self.of.signals
-        upstream = operations_of(g.upstream) * (1 + round(duration * signals.rate))
+        g, ahead, sampling = self.g, self.of.compensation.ahead, self.of.machine.sampling
+        upstream = operations_of(g.upstream) * (1 + round(duration * sampling.rate))
         if ahead is None:
             return upstream + self.level + 10
         per_metre, per_second = g.blocks[k].ahead_steps
         flowed = self._flow(EXP2, 2)
-        speed = signals.max_velocity
+        speed = sampling.max_velocity
         if g.slow_ahead:
             steps = 1 + int(ahead.gate_velocity * ahead.longest * per_metre)
             return 2 * self.level + 12 + max(flowed + 6, 4 + self.drive + steps * (self.rhs + 6))

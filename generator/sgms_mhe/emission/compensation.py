@@ -55,30 +55,22 @@ class FeedForward:
     Attributes:
         moves: of the propagation ahead: over the lag, over the delay.
         lag: of the signal chain [s].
-        delay: of the loop [s].
         over_delay: extrapolation of the velocity to the middle of the delay, per difference between the mean velocity
             over the lag and the filtered one.
         at_end: the same to the end of the delay.
-        ramp: from off to fully on [s].
         gain_step: share that a ramp adds per sample.
-        hold: speed below which the force holds [m/s]; 0: it follows.
         carry: kept of a held difference from one sample to the next.
         limit: largest force [N], or None.
-        enabled: on from init on.
         ahead: constants of the propagation; None where elements switch, which asks for none.
     """
 
     moves: int
     lag: float
-    delay: float
     over_delay: float
     at_end: float
-    ramp: float
     gain_step: float
-    hold: float
     carry: float
     limit: float | None
-    enabled: bool
     ahead: Ahead | None
 
 
@@ -92,15 +84,11 @@ def compensation_of(machine: Machine) -> FeedForward:
     return FeedForward(
         moves=2 if compensation.delay else 1,
         lag=lag,
-        delay=compensation.delay,
         over_delay=(lag + 0.5 * h + 0.5 * compensation.delay) / later,
         at_end=(lag + 0.5 * h + compensation.delay) / later,
-        ramp=compensation.ramp,
         gain_step=min(1.0, 1.0 / (rate * compensation.ramp)) if compensation.ramp else 1.0,
-        hold=compensation.hold,
         carry=math.exp(-1.0 / machine.sampling.samples_per_update),
         limit=force_limit(machine),
-        enabled=compensation.enabled,
         ahead=None if machine.friction.switches else _ahead(machine),
     )
 

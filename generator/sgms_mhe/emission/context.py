@@ -21,20 +21,14 @@ from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, names_read, node_scale, sizes_of
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Status, Variant, statuses_of, variant_of
-from sgms_mhe.machine import Machine, Units
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model
 from sgms_mhe.signals.chain import lowpass_coefficients, mean_samples, settle_samples
 
 RUNTIME_VERSION = 5
 """Version of the runtime headers that the templates are written for."""
-IMPLAUSIBLE = 1e4
-"""A state so many standard deviations of the first node's away from zero is no solution (docs/estimation.md)."""
 MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
-CLEARLY = 1.01
-"""How much farther an older interval has to have moved than a newer one, to be linearised anew in its stead."""
-LEAST_NOISE = 1e-6
-"""Share of its variance that noise which comes with the path has without any."""
 PAUSE_PART = 0.25
 """What a power cycle changes in a parameter, over what may be wrong with it before any data."""
 HOLD_PART = 0.1
@@ -118,12 +112,7 @@ class SignalView:
     """Signals and their chain.
 
     Attributes:
-        rate, update_rate: [Hz].
-        sample_time, step_time: [s], step_time of a step of the series.
-        piece_time: of constant signals [s].
-        mass: [kg]. max_velocity: [m/s].
         mass_in_model: it stands in the model's equations, and not in the signal chain alone.
-        position_step: of the encoder [m].
         settle: samples that a disturbance of the filters lasts.
         lowpass: (b0, b1, b2, a1, a2).
         slope_weights: of each of the merged samples in the slope of the line through them.
@@ -137,15 +126,7 @@ class SignalView:
         clock: of a model that is periodic in time; None of any other.
     """
 
-    rate: float
-    update_rate: float
-    sample_time: float
-    step_time: float
-    piece_time: float
-    mass: float
     mass_in_model: bool
-    max_velocity: float
-    position_step: float
     settle: int
     lowpass: tuple[float, ...]
     slope_weights: tuple[float, ...]
@@ -163,41 +144,38 @@ class EmittedWeights:
     """Weights of the least squares, and limits of what is a solution.
 
     Attributes:
-        measurement: [N].
         readings: of the means of test ratios.
         lasting: of errors of the model that stay.
         prior_sd, drift_sd: of each theta, drift per update.
-        drift_interval: shifts of the window after which drift enters.
         hold_path: path of an interval below which it says nothing of the parameters [m].
-        implausible: first node's standard deviations beyond which a state is no solution.
+        implausible: first node's standard deviations beyond which a state is no solution (docs/estimation.md).
         lower, upper: bounds on theta, finite numbers.
         pause_sd: of what a power cycle changes in each theta.
         state_noise, inverse_initial_state: per state.
         along_path: which states have their noise with the path; noise_length: along which it comes up to that [m], 0
             where there is none; least_noise: share of its variance without motion.
         inverse_move: of an interval's end before it is linearised anew, over the state noise, squared; where it
-            `moves_with_noise` over the state noise besides. clearly: how much farther an older one has to, squared.
+            `moves_with_noise` over the state noise besides. clearly: how much farther an older interval has to have
+            moved than a newer one to be linearised in its stead, squared.
     """
 
-    measurement: float
     readings: ReadingRule
     lasting: LastingRule
     prior_sd: tuple[float, ...]
     drift_sd: tuple[float, ...]
-    drift_interval: int
     hold_path: float
-    implausible: float
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     pause_sd: tuple[float, ...]
     state_noise: tuple[float, ...]
     along_path: tuple[int, ...]
     noise_length: float
-    least_noise: float
     inverse_initial_state: tuple[float, ...]
     inverse_move: float
-    clearly: float
     moves_with_noise: bool
+    implausible: float = 1e4
+    least_noise: float = 1e-6
+    clearly: float = 1.01**2
 
 
 @dataclass(frozen=True)
@@ -233,6 +211,7 @@ class PackageView:
     """All that the templates of a package read, by subject.
 
     Attributes:
+        machine: the file's numbers, as it says them.
         law: constants of the law, where a group is emitted as it.
         flow: constants of the displacement flow, where a group follows it.
         statuses: of an update, and what each asks for.
@@ -241,8 +220,8 @@ class PackageView:
         tables: (name, values) of what the model looks up by position.
     """
 
+    machine: Machine
     package: Identity
-    units: Units
     variant: Variant
     sizes: Sizes
     schedule: Costs
@@ -256,9 +235,9 @@ class PackageView:
     flow: EmittedFlow | None
     compensation: FeedForward
     statuses: tuple[Status, ...]
-    vectors: Vectors | None
-    work: Work | None
     tables: tuple[tuple[str, tuple[float, ...]], ...]
+    vectors: Vectors | None = None
+    work: Work | None = None
 
 
 def package_view(structure: Structure) -> PackageView:
@@ -272,8 +251,8 @@ def package_view(structure: Structure) -> PackageView:
     groups = group_views(structure, sizes, functions)
     signals = _signals(structure)
     return PackageView(
+        machine=machine,
         package=_identity(machine, printer),
-        units=machine.plant.units,
         variant=variant,
         sizes=sizes,
         schedule=schedule_of(sizes, variant),
@@ -287,8 +266,6 @@ def package_view(structure: Structure) -> PackageView:
         flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
         compensation=compensation_of(machine),
         statuses=statuses_of(machine, variant),
-        vectors=None,
-        work=None,
         tables=tuple((name, values) for values, name in printer.tables.items()),
     )
 
@@ -314,21 +291,11 @@ def _identity(machine: Machine, printer: CPrinter) -> Identity:
 
 def _signals(structure: Structure) -> SignalView:
     machine = structure.model.machine
-    sampling = machine.sampling
-    merged = sampling.merged
+    merged = machine.sampling.merged
     read, names = _signals_read(structure), structure.model.signal_names
-    step_time = merged * sampling.step
     places = np.arange(merged)
     return SignalView(
-        rate=sampling.rate,
-        update_rate=sampling.update_rate,
-        sample_time=1.0 / sampling.rate,
-        step_time=step_time,
-        piece_time=sampling.step if merged > 1 else step_time,
-        mass=machine.plant.moved,
         mass_in_model=structure.model.reads_mass,
-        max_velocity=sampling.max_velocity,
-        position_step=sampling.position_step,
         settle=settle_samples(machine),
         lowpass=lowpass_coefficients(machine),
         slope_weights=tuple(3.0 / (merged * merged - 1.0) * (2.0 * places + 1.0 - merged)) if merged > 1 else (),
@@ -371,27 +338,22 @@ def _signals_read(structure: Structure) -> tuple[str, ...]:
 
 def _weights(model: Model, variant: Variant) -> EmittedWeights:
     machine = model.machine
-    noise, largest = machine.estimator.noise, 1e30 if variant.single else 1e300
+    largest = 1e30 if variant.single else 1e300
     smoothing = machine.friction.smoothing
     return EmittedWeights(
-        measurement=noise.measurement,
         readings=ReadingRule(),
         lasting=LastingRule.of(machine.sampling.readings_per_update, noise.colour),
         prior_sd=tuple(model.prior),
         drift_sd=tuple(model.drift) if variant.drifts else (0.0,) * model.n_p,
-        drift_interval=machine.estimator.drift_interval,
         hold_path=hold_path(machine),
-        implausible=IMPLAUSIBLE,
         lower=tuple(max(p.lower, -largest) for p in model.parameters),
         upper=tuple(min(p.upper, largest) for p in model.parameters),
         pause_sd=tuple(PAUSE_PART * model.prior),
         state_noise=tuple(model.state_noise),
         along_path=tuple(int(length > 0.0) for length in model.noise_travel),
         noise_length=float(model.noise_travel.max()),
-        least_noise=LEAST_NOISE,
         inverse_initial_state=tuple(1.0 / model.initial_state),
         inverse_move=(smoothing.lambda_ if smoothing else 1.0) / MOVE**2,
-        clearly=CLEARLY**2,
         moves_with_noise=smoothing is not None,
     )
 

@@ -78,7 +78,6 @@ class EmittedFlow:
     """Constants of the displacement flow of one machine.
 
     Attributes:
-        zeta, lambda_: smoothing that the curve belongs to.
         table: psi and its inverse.
         gate: |v| / v_s above which the gate is saturated.
         gate_velocity: the same speed [m/s].
@@ -87,8 +86,6 @@ class EmittedFlow:
         phi, d_phi: coefficients of the alternating series of phi(x) and x phi'(x) (docs/integration.md), from x^2 on.
     """
 
-    zeta: float
-    lambda_: float
     table: FlowTable
     gate: float
     gate_velocity: float
@@ -110,8 +107,6 @@ def flow_of(machine: Machine) -> EmittedFlow:
     exponent, relaxation = (60.0, 64.0) if precision == "single" else (600.0, 640.0)
     orders = range(2, 9)
     return EmittedFlow(
-        zeta=smoothing.zeta,
-        lambda_=smoothing.lambda_,
         table=table,
         gate=gate,
         gate_velocity=gate * machine.friction.stribeck_velocity,

@@ -123,7 +123,7 @@ def declared_digest(header: str) -> str:
 def _render(view: PackageView, template: str, precision: Precision, **more: object) -> str:
     """One template's text; literals in it as those of a precision."""
     subjects = {field.name: getattr(view, field.name) for field in fields(view)}
-    subjects |= {"name": view.package.name, "NAME": view.package.NAME, **more}
+    subjects |= {"name": view.package.name, "NAME": view.package.NAME, "units": view.machine.plant.units, **more}
     text = _environment(precision).get_template(f"{template}.jinja").render(subjects)
     return wrap_columns(text) if template.endswith(C_SUFFIXES) else text
 

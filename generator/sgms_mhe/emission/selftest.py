@@ -167,7 +167,7 @@ def selftest_vectors(model: Model) -> Vectors:
 def _set_velocities(machine: Machine) -> tuple[float, float]:
     """Velocities to come: sliding, and, where there is one, within the gate that slow motion opens [m/s]."""
     fast, of = _SET_PART * machine.sampling.max_velocity, compensation_of(machine)
-    return fast, max(0.5 * of.ahead.gate_velocity if of.ahead else 0.01 * fast, 2.0 * of.hold)
+    return fast, max(0.5 * of.ahead.gate_velocity if of.ahead else 0.01 * fast, 2.0 * machine.compensation.hold)
 
 
 def _velocity_beyond_limit(model: Model) -> float:
@@ -262,7 +262,7 @@ def _force_ahead(
         lags: through the machine's own chain, whose lag is made up for.
         set_point: velocities to come, after odd and even updates, and acceleration [m/s, m/s^2]; None: none is set.
     """
-    machine, ahead = model.machine, compensation_of(model.machine)
+    machine, ahead, delay = model.machine, compensation_of(model.machine), model.machine.compensation.delay
     step, samples = machine.sampling.step, machine.sampling.samples_per_update
     nodes = samples * np.arange(1, record.updates + 1) + later
     x, theta = found.extra["x"].T, found.extra["theta"].T
@@ -281,7 +281,7 @@ def _force_ahead(
         np.resize(set_point[0], len(nodes)) if set_point else measured + (mean - measured) * part
         for part in (ahead.over_delay, ahead.at_end)
     )
-    moves.append((over_delay * ahead.delay, ahead.delay))
+    moves.append((over_delay * delay, delay))
     chi = np.array(model.function("from_node").map(record.updates)(x, theta))
     for distance, duration in moves:
         if duration > 0.0:
