@@ -36,10 +36,6 @@ _BEYOND_WINDOW = 3
 """Updates with a full window."""
 _SECOND = 5
 """Updates of the second run, with other settings."""
-_BOUND = 0.03
-"""Bounds of the second run, about nominal."""
-_OTHER = 0.25
-"""Settings of the second run grow by that part from one state, and one parameter, to the next."""
 _SET_PART = 0.25
 """Set-point of the second run over the largest speed; its acceleration takes the Coulomb level. Every other is slow."""
 _SUBSTEPS = 100
@@ -51,26 +47,15 @@ class ReferenceRun:
     """Estimates of the reference solver along the motion, or its beginning; rounded, so that every machine prints them.
 
     Attributes:
-        friction: at each update, estimated and as last measured [N]. deflections: of the elements [m].
-        parameters: at each update [SI]. deviations: of them, 1 sigma [SI].
-        readings: of the newest measurement at each update: innovation [N], test ratio, noise scale.
+        rows: at each update friction, estimated and as last measured [N]; of the newest measurement the innovation [N],
+            test ratio and noise scale; deflections of the elements [m]; parameters and their deviations, 1 sigma [SI].
         statuses: of the updates.
         forces: fed forward after each update [N], by each way to call the axis.
     """
 
-    friction: tuple[tuple[float, ...], ...]
-    deflections: tuple[tuple[float, ...], ...]
-    parameters: tuple[tuple[float, ...], ...]
-    deviations: tuple[tuple[float, ...], ...]
-    readings: tuple[tuple[float, ...], ...]
+    rows: tuple[tuple[float, ...], ...]
     statuses: tuple[int, ...]
     forces: tuple[tuple[float, ...], ...]
-
-    @property
-    def rows(self) -> tuple[tuple[float, ...], ...]:
-        """Numbers that are compared after each update, in the order of the template."""
-        vectors = zip(self.friction, self.readings, self.deflections, self.parameters, self.deviations, strict=True)
-        return tuple(tuple(x for part in update for x in part) for update in vectors)
 
 
 @dataclass(frozen=True)
@@ -80,37 +65,37 @@ class Vectors:
     Attributes:
         motion: segments, the first run is along all of them.
         largest: friction of the first run [N]. farthest: deflection in it [m].
-        bound: of the second run, about nominal, over nominal.
-        other: growth of the second run's settings from one state, and one parameter, to the next.
         span: intervals in which the signal chain settles and an update comes after that.
         velocity: at which the force of the model at rest is far beyond its limit [m/s]; 0: at none.
         set_velocity: set-points after odd and after even updates of the second run by sample() [m/s].
         set_acceleration: with them [m/s^2].
         first: with the machine file's settings.
         second: with other noise everywhere and all parameters within `bound` of nominal; by sample() and insert().
+        bound: of the second run, about nominal, over nominal.
+        other: growth of the second run's settings from one state, and one parameter, to the next.
     """
 
     motion: CountedMotion
     largest: float
     farthest: float
-    bound: float
-    other: float
     span: int
     velocity: float
     set_velocity: tuple[float, float]
     set_acceleration: float
     first: ReferenceRun
     second: ReferenceRun
+    bound: float = 0.03
+    other: float = 0.25
 
     @property
     def intervals(self) -> int:
         """Intervals of all parts of the self-test, at most."""
-        return self.updates + 2 * len(self.second.friction) + 40 * self.span + 40
+        return self.updates + 2 * len(self.second.rows) + 40 * self.span + 40
 
     @property
     def updates(self) -> int:
         """Updates of the first run."""
-        return len(self.first.friction)
+        return len(self.first.rows)
 
 
 def selftest_vectors(model: Model) -> Vectors:
@@ -130,7 +115,7 @@ def selftest_vectors(model: Model) -> Vectors:
     least = min(updates - 1, max(_least_updates(model), _SECOND))
     end = least * machine.sampling.samples_per_update + 1
     bounded = bool(np.any(np.isfinite([weights.lower, weights.upper])))
-    states, parameters = (1.0 + _OTHER * np.arange(n) for n in (model.n_x, model.n_p))
+    states, parameters = (1.0 + Vectors.other * np.arange(n) for n in (model.n_x, model.n_p))
     other = replace(
         weights,
         sigma_y=2.0 * weights.sigma_y,
@@ -142,7 +127,7 @@ def selftest_vectors(model: Model) -> Vectors:
     )
     if bounded:
         ones = np.ones(model.n_p)
-        other = replace(other, lower=(1.0 - _BOUND) * ones, upper=(1.0 + _BOUND) * ones)
+        other = replace(other, lower=(1.0 - Vectors.bound) * ones, upper=(1.0 + Vectors.bound) * ones)
     second = _run(model, signals.part(slice(0, end)), integrator, other)
     ahead = _set_velocities(machine), machine.friction.coulomb / machine.plant.moved
     tick, sample, insert = (
@@ -153,8 +138,6 @@ def selftest_vectors(model: Model) -> Vectors:
         motion=motion,
         largest=float(np.abs(first[0].friction_N).max()),
         farthest=float(np.abs(first[0].z_m).max()),
-        bound=_BOUND,
-        other=_OTHER,
         span=_least_updates(model) - 1,
         velocity=_velocity_beyond_limit(model),
         set_velocity=ahead[0],
@@ -221,13 +204,10 @@ def _rounded(found: Estimates, *forces: Array) -> ReferenceRun:
     measured = np.array(found.friction_measured_N)
     for k in np.flatnonzero(found.status & UpdateStatus.MISSING):
         measured[k] = measured[k - 1] if k > 0 else 0.0
-    readings = np.column_stack([found.innovation_N, found.test_ratio, found.noise_scale])
+    readings = found.innovation_N, found.test_ratio, found.noise_scale
+    numbers = np.column_stack([found.friction_N, measured, *readings, found.z_m, found.parameters, found.std])
     return ReferenceRun(
-        friction=tuple(map(_round_values, np.column_stack([found.friction_N, measured]))),
-        deflections=tuple(map(_round_values, found.z_m)),
-        parameters=tuple(map(_round_values, found.parameters)),
-        deviations=tuple(map(_round_values, found.std)),
-        readings=tuple(map(_round_values, readings)),
+        rows=tuple(map(_round_values, numbers)),
         statuses=tuple(int(status) for status in found.status),
         forces=tuple(map(_round_values, forces)),
     )

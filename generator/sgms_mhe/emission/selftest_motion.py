@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +35,7 @@ _MISSING = 3
 """Samples of each gap."""
 
 
-@dataclass(frozen=True)
-class Segment:
+class Segment(NamedTuple):
     """Samples of constant acceleration.
 
     Attributes:
@@ -64,20 +64,13 @@ class CountedMotion:
     gap: tuple[int, int]
 
     @property
-    def numbers(self) -> tuple[tuple[int, int, int], ...]:
-        """Samples, acceleration and rise of each segment."""
-        return tuple((s.samples, s.acceleration, s.rise) for s in self.segments)
-
-    @property
     def samples(self) -> int:
         """Samples in all, the first one at rest included."""
         return 1 + sum(segment.samples for segment in self.segments)
 
     def log(self, machine: Machine) -> Log:
         """Return the log: positions, and the force of inertia and friction, NaN in the gap."""
-        of_segment = np.repeat(np.arange(len(self.segments)), [segment.samples for segment in self.segments])
-        acceleration = np.array([segment.acceleration for segment in self.segments])[of_segment]
-        rise = np.array([segment.rise for segment in self.segments])[of_segment]
+        _, acceleration, rise = np.repeat(self.segments, [segment.samples for segment in self.segments], axis=0).T
         position = np.concatenate(([0], np.cumsum(np.cumsum(acceleration))))
         friction = np.concatenate(([0], np.cumsum(rise))) * self.unit
         rate, n = machine.sampling.rate, self.samples

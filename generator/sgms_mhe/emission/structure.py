@@ -9,7 +9,8 @@ through which the parameters enter a block, which are the only ones its sensitiv
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
+from itertools import islice
 
 import casadi as ca
 import numpy as np
@@ -42,8 +43,6 @@ class Group:
     """Blocks that are the same function: one emitted right side serves them all, side by side.
 
     Attributes:
-        name: C name.
-        blocks: its blocks, in the order of their states.
         rhs: d(chi)/dt (m); of an element that switches, while it sticks.
         d_chi: its Jacobian in chi (m x m, row-major).
         d_q: its Jacobian in the parameter terms (m x n_q, row-major).
@@ -52,24 +51,27 @@ class Group:
         level_by_state: derivatives of `level` in the element's upstream states (m - 1).
         upstream: those states at the end of a step (m - 1), with their derivatives in themselves (`upstream_by_state`,
             m - 1) and in the parameter terms (`upstream_by_q`, (m - 1) x n_q).
+        name: C name.
+        blocks: its blocks, in the order of their states.
         obeys_law: whether `rhs` is the S-GMS law of one state in these, for every value of its inputs.
         switches: whether the blocks are elements that switch.
         names: names for intermediate values.
     """
 
-    name: str
-    blocks: tuple[Block, ...]
     rhs: tuple[Node, ...]
     d_chi: tuple[Node, ...]
     d_q: tuple[Node, ...]
-    rate: tuple[Node, ...]
-    level: tuple[Node, ...]
-    d_rate: tuple[Node, ...]
-    d_level: tuple[Node, ...]
-    level_by_state: tuple[Node, ...]
-    upstream: tuple[Node, ...]
-    upstream_by_state: tuple[Node, ...]
-    upstream_by_q: tuple[Node, ...]
+    rate: tuple[Node, ...] = ()
+    level: tuple[Node, ...] = ()
+    d_rate: tuple[Node, ...] = ()
+    d_level: tuple[Node, ...] = ()
+    level_by_state: tuple[Node, ...] = ()
+    upstream: tuple[Node, ...] = ()
+    upstream_by_state: tuple[Node, ...] = ()
+    upstream_by_q: tuple[Node, ...] = ()
+    _: KW_ONLY
+    name: str
+    blocks: tuple[Block, ...]
     obeys_law: bool
     switches: bool
     names: dict[Node, str]
@@ -342,12 +344,9 @@ def _group(
             renamed[node] = graph.input(next(iter(node.inputs)), node.label)
         else:
             renamed[node] = graph.apply(node.op, *(renamed[a] for a in node.args))
-    parts: list[tuple[Node, ...]] = []
-    start = 0
-    for count in canonical.counts:
-        parts.append(tuple(renamed[n] for n in canonical.outputs[start : start + count]))
-        start += count
-    parts += [()] * (11 - len(parts))
+    outputs = iter(renamed[n] for n in canonical.outputs)
+    parts = [tuple(islice(outputs, count)) for count in canonical.counts]
+    is_elements = len(parts) > 3
     blocks = tuple(
         Block(
             states=own,
@@ -358,26 +357,14 @@ def _group(
         )
         for c, own, expressions in members
     )
-    name = "element" if parts[4] else f"block{k}"
-    if parts[4] and k > 0:
-        name = f"element{k}"
     names = {renamed[n]: label for label, n in canonical.named if n in renamed and n.args}
+    switches = machine.friction.switches
     return Group(
-        name=name,
+        *parts,
+        name=f"element{k or ''}" if is_elements else f"block{k}",
         blocks=blocks,
-        rhs=parts[0],
-        d_chi=parts[1],
-        d_q=parts[2],
-        rate=parts[3],
-        level=parts[4],
-        d_rate=parts[5],
-        d_level=parts[6],
-        level_by_state=parts[7],
-        upstream=parts[8],
-        upstream_by_state=parts[9],
-        upstream_by_q=parts[10],
-        obeys_law=not machine.friction.switches and _obeys_law(parts[0], parts[3], parts[4], machine),
-        switches=machine.friction.switches and bool(parts[4]),
+        obeys_law=is_elements and not switches and _obeys_law(parts[0], parts[3], parts[4], machine),
+        switches=is_elements and switches,
         names=names,
     )
 
@@ -387,7 +374,7 @@ def _obeys_law(rhs: Sequence[Node], rate: Sequence[Node], inverse_level: Sequenc
 
     Compared at points over all regimes, for both signs; an effect that changes the law differs at most of them.
     """
-    if len(rhs) != 1 or not rate:
+    if len(rhs) != 1:
         return False
     outputs = [*rhs, *rate, *inverse_level]
     inputs = [n for n in walk(outputs) if n.op == "input"]
