@@ -13,7 +13,8 @@ from sgms_mhe.emission.graph import Graph, Node, operations, walk
 from sgms_mhe.emission.structure import Group, Structure
 from sgms_mhe.model import Model
 
-_ATOM, _UNARY, _PRODUCT, _SUM, _COMPARE = range(5)
+_ATOM, _UNARY, _PRODUCT, _SUM = range(4)
+_INFIX = {"add": ("+", _SUM), "sub": ("-", _SUM), "mul": ("*", _PRODUCT), "div": ("/", _PRODUCT)}
 _LONGEST_INLINE = 72
 
 
@@ -119,23 +120,16 @@ class CPrinter:
         if op == "const":
             body = self.number(node.value)
             return (body, _ATOM) if node.value >= 0.0 else (body, _UNARY)
-        if op == "add":
-            return f"{operand(0, _SUM)} + {operand(1, _PRODUCT)}", _SUM
-        if op == "sub":
-            return f"{operand(0, _SUM)} - {operand(1, _PRODUCT)}", _SUM
-        if op == "mul":
-            return f"{operand(0, _PRODUCT)} * {operand(1, _UNARY)}", _PRODUCT
-        if op == "div":
-            return f"{operand(0, _PRODUCT)} / {operand(1, _UNARY)}", _PRODUCT
+        if op in _INFIX:
+            sign, level = _INFIX[op]
+            return f"{operand(0, level)} {sign} {operand(1, level - 1)}", level
         if op == "neg":
             return f"-{operand(0, _ATOM)}", _UNARY
         if op == "sq":
             inner = operand(0, _ATOM)
-            return (
-                (f"{inner} * {inner}", _PRODUCT)
-                if inner.isidentifier()
-                else (f"sgms_square({text[node.args[0]][0]})", _ATOM)
-            )
+            if inner.isidentifier():
+                return f"{inner} * {inner}", _PRODUCT
+            return f"sgms_square({text[node.args[0]][0]})", _ATOM
         if op == "twice":
             return f"{self.number(2.0)} * {operand(0, _UNARY)}", _PRODUCT
         if op == "inv":
@@ -147,8 +141,7 @@ class CPrinter:
             name = self.tables.setdefault(table, f"table_{len(self.tables) + 1}")
             return f"sgms_entry({name}, {len(table) - 1}, {text[node.args[0]][0]})", _ATOM
         if op in ("lt", "le"):
-            sign = "<" if op == "lt" else "<="
-            return f"(sgms_real)({operand(0, _SUM)} {sign} {operand(1, _SUM)})", _UNARY
+            return f"(sgms_real)({operand(0, _SUM)} {'<' if op == 'lt' else '<='} {operand(1, _SUM)})", _UNARY
         arguments = ", ".join(text[a][0] for a in node.args)
         return f"sgms_{op}({arguments})", _ATOM
 
