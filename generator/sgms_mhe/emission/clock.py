@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
 
 import casadi as ca
 
-from sgms_mhe.emission.graph import Graph, Node, to_sx, walk
+from sgms_mhe.emission.graph import Graph, Node, frontier, to_sx, walk
 from sgms_mhe.emission.structure import Structure
 
 MOST_TURNS: Final = {"single": 10_000, "double": 100}
@@ -70,28 +69,14 @@ def _frequencies(structure: Structure) -> list[Fraction] | None:
     graph = Graph()
     nodes = graph.read(ca.vertcat(model.rhs, model.output, model.feed_forward), vectors, labels)
     time = graph.input("w", "time")
-    found: list[Fraction] = []
-    seen: set[Node] = set()
-
-    def is_periodic(node: Node) -> bool:
-        if node in seen:
-            return True
-        seen.add(node)
-        if node is time:
-            return False
-        frequency = _frequency(node, time) if node.op in ("sin", "cos") else None
-        if frequency is not None:
-            found.append(frequency)
-            return True
-        return all(is_periodic(argument) for argument in node.args)
-
-    return found if all(is_periodic(node) for node in nodes) else None
+    found = frontier(nodes, lambda node: node is time or _frequency(node, time) is not None)
+    return None if time in found else [f for node in found if (f := _frequency(node, time)) is not None]
 
 
 def _frequency(node: Node, time: Node) -> Fraction | None:
     """Frequency of a sine whose argument is affine in time; None where it is not, or is none of a few digits."""
-    inputs = _inputs(node)
-    if time not in inputs:
+    inputs = [n for n in walk([node]) if n.op == "input"]
+    if node.op not in ("sin", "cos") or time not in inputs:
         return None
     symbols = {n: ca.SX.sym(n.label) for n in inputs}
     slope = ca.simplify(ca.gradient(to_sx(node.args, symbols)[0], symbols[time]))
@@ -100,8 +85,3 @@ def _frequency(node: Node, time: Node) -> Fraction | None:
     exact = abs(float(slope)) / (2.0 * math.pi)
     frequency = Fraction(exact).limit_denominator(DENOMINATOR)
     return frequency if frequency > 0 and abs(float(frequency) - exact) <= 1e-15 * exact * 4 else None
-
-
-def _inputs(node: Node) -> Sequence[Node]:
-    """Inputs that a node needs."""
-    return [n for n in walk([node]) if n.op == "input"]
