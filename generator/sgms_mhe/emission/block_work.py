@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from sgms_mhe.emission.compensation import FARTHEST_MOVE
 from sgms_mhe.emission.context import PackageView
 from sgms_mhe.emission.element_law import RK4
 from sgms_mhe.emission.groups import GroupView
@@ -174,7 +173,7 @@ class GroupWork:
             return 2 * self.level + 12 + max(flowed + 6, 4 + self.drive + steps * (self.rhs + 6))
         if g.follows_flow:
             speed = min(speed, self.of.flow.gate_velocity if self.of.flow else speed)
-        moved = FARTHEST_MOVE / ahead.displacement if g.is_slider else speed * duration * per_metre
+        moved = ahead.farthest / ahead.displacement if g.is_slider else speed * duration * per_metre
         steps = 1 + int(moved + duration * per_second)
         taken = 10 + self.drive + steps * (4 * (self.rhs + 7 * g.sizes.m) + g.sizes.m + 6)
         if g.follows_flow:

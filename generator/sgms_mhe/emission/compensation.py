@@ -9,16 +9,10 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model import gate_ratio
 from sgms_mhe.signals.chain import chain_delay
 
-AHEAD_DISPLACEMENT = 0.05
-"""Largest move per Runge-Kutta step of the propagation ahead, in deflection scales: no sensitivity hangs on it."""
 AHEAD_SLOW_DISPLACEMENT = 0.01
-"""The same per linearly implicit midpoint step, which an element takes below the gate of the propagation ahead."""
+"""Largest move in deflection scales per linearly implicit midpoint step, taken below the gate of the propagation."""
 LIMIT_OF_FRICTION = 2.0
 """Largest force fed forward over the largest that the model's friction can have, where none is stated."""
-AHEAD_EQUAL = 4e-6
-"""Slip, and relative deflections, that the propagation ahead may neglect."""
-FARTHEST_MOVE = 10.0
-"""An element that has moved on by so many deflection scales slides, wherever it was."""
 
 
 @dataclass(frozen=True)
@@ -26,26 +20,26 @@ class Ahead:
     """Constants of the propagation ahead.
 
     Attributes:
-        displacement: largest move per Runge-Kutta step, in deflection scales.
-        farthest: move in deflection scales after which an element slides, wherever it was.
-        equal: relative deflections that need not be distinguished.
         elastic: relative deflection below which slip is less than `equal` of the motion; not positive: there is none.
         gate_velocity: speed above which the gate counts as saturated [m/s].
         longest: duration of the longest move [s].
         curve: a / k of du/dxi = -k u + a u^2 about the fixed point.
         powers: k / ln 2 of the same.
         forgotten: powers of two after which what was before makes no difference.
+        displacement: largest move per Runge-Kutta step, in deflection scales: no sensitivity hangs on it.
+        farthest: move in deflection scales after which an element slides, wherever it was.
+        equal: slip, and relative deflections, that may be neglected.
     """
 
-    displacement: float
-    farthest: float
-    equal: float
     elastic: float
     gate_velocity: float
     longest: float
     curve: float
     powers: float
     forgotten: float
+    displacement: float = 0.05
+    farthest: float = 10.0
+    equal: float = 4e-6
 
 
 @dataclass(frozen=True)
@@ -110,9 +104,9 @@ def force_limit(machine: Machine) -> float | None:
 
 
 def ahead_elastic(machine: Machine) -> float:
-    """Relative deflection below which slip is less than AHEAD_EQUAL of the motion; not positive: there is none."""
+    """Relative deflection below which slip is less than `Ahead.equal` of the motion; not positive: there is none."""
     smoothing = machine.friction.smoothed
-    return smoothing.zeta + math.log(AHEAD_EQUAL) / (2.0 * smoothing.lambda_)
+    return smoothing.zeta + math.log(Ahead.equal) / (2.0 * smoothing.lambda_)
 
 
 def _ahead(machine: Machine) -> Ahead:
@@ -122,7 +116,7 @@ def _ahead(machine: Machine) -> Ahead:
     # Taken as saturated, a gate whose tail is left out moves an element's force by kappa |v| T tail at most.
     saturated = gate_ratio(zeta, lambda_, gamma)
     stroke = saturated * friction.stribeck_velocity * longest * sum(friction.stiffness) / friction.coulomb
-    gate = min(saturated, gate_ratio(zeta, lambda_, gamma, AHEAD_EQUAL / stroke))
+    gate = min(saturated, gate_ratio(zeta, lambda_, gamma, Ahead.equal / stroke))
     r = 1.0
     for _ in range(60):  # 1 - etaA(r) r = 0
         window = 1.0 / (1.0 + math.exp(-2.0 * lambda_ * (r - zeta)))
@@ -130,13 +124,10 @@ def _ahead(machine: Machine) -> Ahead:
         r += (1.0 - window * r) / (window + first * r)
     second = 2.0 * lambda_ * first * (1.0 - 2.0 * window)
     return Ahead(
-        displacement=AHEAD_DISPLACEMENT,
-        farthest=FARTHEST_MOVE,
-        equal=AHEAD_EQUAL,
         elastic=ahead_elastic(machine),
         gate_velocity=gate * friction.stribeck_velocity,
         longest=longest,
         curve=-0.5 * (2.0 * first + second * r) / (window + first * r),
         powers=(window + first * r) / math.log(2.0),
-        forgotten=-math.log2(AHEAD_EQUAL),
+        forgotten=-math.log2(Ahead.equal),
     )

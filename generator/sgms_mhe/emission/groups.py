@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from sgms_mhe.emission.c_source import Function, FunctionPrinter, Output, scalar
-from sgms_mhe.emission.compensation import AHEAD_DISPLACEMENT, AHEAD_SLOW_DISPLACEMENT, ahead_elastic
+from sgms_mhe.emission.compensation import AHEAD_SLOW_DISPLACEMENT, Ahead, ahead_elastic
 from sgms_mhe.emission.element_law import common_slow_steps, element_law, follows_flow, step_rates
 from sgms_mhe.emission.sizes import GroupSizes, Sizes
 from sgms_mhe.emission.structure import Block, Group, Structure
@@ -189,6 +189,6 @@ def _upstream(group: Group, printer: FunctionPrinter) -> Function:
 
 
 def _ahead_steps(block: Block, structure: Structure, *, implicit: bool) -> tuple[float, float]:
-    per_move = 1.0 / (AHEAD_SLOW_DISPLACEMENT if implicit else AHEAD_DISPLACEMENT)
+    per_move = 1.0 / (AHEAD_SLOW_DISPLACEMENT if implicit else Ahead.displacement)
     displacement = structure.model.machine.sampling.integrator.displacement
     return block.rate_per_metre * per_move, block.rate_per_second / displacement
