@@ -166,7 +166,7 @@ def _variables(machine: Machine) -> tuple[tuple[Variable, ...], tuple[_Tunable, 
         if not places:  # of a table, which is the C's own
             continue
         bounds = (limits.low, limits.high) if math.isfinite(limits.high - limits.low) else ()
-        value, unit = repr(number.value), number.dotted_unit or "1"
+        value, unit = repr(number.value), dot_unit(number.unit) or "1"
         variable = add_parameter(number.name, unit, number.text, places[0], value, *bounds)
         tunable.append(_Tunable(variable, places, *_edges(limits)))
     return tuple(rows), tuple(tunable)

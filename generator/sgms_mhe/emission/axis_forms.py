@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from sgms_mhe import __version__
 from sgms_mhe.emission.axis_equations import MODELICA, SIMSCAPE, Language, axis_model, plain_force, print_equations
-from sgms_mhe.emission.rendering import dot_unit, render_text
+from sgms_mhe.emission.rendering import render_text
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES
 from sgms_mhe.model.effects import effect_definition, reported_name
@@ -40,16 +40,6 @@ class AxisNumber:
     def identifier(self) -> str:
         """The name without dots."""
         return self.name.replace(".", "_")
-
-    @property
-    def product_unit(self) -> str:
-        """The unit as Simscape writes it: `N*s/m`."""
-        return self.unit.replace(" ", "*") or "1"
-
-    @property
-    def dotted_unit(self) -> str:
-        """The unit as FMI and Modelica write it: `N.s/m`."""
-        return dot_unit(self.unit)
 
 
 STRIBECK: Final = "Stribeck effect"

@@ -82,19 +82,6 @@ _BASE_UNITS: Final[Mapping[str, Mapping[str, int]]] = MappingProxyType(
 )
 
 
-def unit_exponents(unit: str) -> str:
-    """Return a unit in the notation of FMI (`N.s/m`) as attributes of SI base units: `kg="1" s="-1"`."""
-    exponents = dict.fromkeys(("kg", "m", "rad", "s"), 0)
-    over, _, under = unit.partition("/")
-    for sign, factors in ((1, over), (-1, under)):
-        for factor in filter(None, factors.split(".")):
-            name = factor.rstrip("0123456789")
-            power = sign * int(factor[len(name) :] or 1)
-            for base, exponent in _BASE_UNITS[name].items():
-                exponents[base] += power * exponent
-    return " ".join(f'{base}="{exponent}"' for base, exponent in exponents.items() if exponent)
-
-
 @dataclass(frozen=True)
 class Variable:
     """One number of an axis.
@@ -126,8 +113,16 @@ class Variable:
 
     @property
     def exponents(self) -> str:
-        """Attributes of its unit in SI base units."""
-        return unit_exponents(self.unit)
+        """The unit as attributes of SI base units: `kg="1" s="-1"`."""
+        exponents = dict.fromkeys(("kg", "m", "rad", "s"), 0)
+        over, _, under = self.unit.partition("/")
+        for sign, factors in ((1, over), (-1, under)):
+            for factor in filter(None, factors.split(".")):
+                name = factor.rstrip("0123456789")
+                power = sign * int(factor[len(name) :] or 1)
+                for base, exponent in _BASE_UNITS[name].items():
+                    exponents[base] += power * exponent
+        return " ".join(f'{base}="{exponent}"' for base, exponent in exponents.items() if exponent)
 
 
 def variables_of(view: PackageView) -> tuple[Variable, ...]:
