@@ -13,7 +13,7 @@ from typing import Final
 
 from sgms_mhe.emission.bindings import SUFFIX, Variable, fmu, variables_of
 from sgms_mhe.emission.context import PackageView
-from sgms_mhe.emission.layout import Memory, memory_of
+from sgms_mhe.emission.layout import Memory
 from sgms_mhe.emission.rendering import render_page
 from sgms_mhe.support.errors import InputError
 
@@ -92,11 +92,6 @@ def _archives(
     built = {file: fmu(content, name, file) for file, content in texts.items()}
     missing = tuple(f"{file}: sources without a binary: {why}" for file, (_, why) in built.items() if why is not None)
     return {file: archive for file, (archive, _) in built.items()}, missing
-
-
-def memory_of_package(view: PackageView, files: Mapping[str, str]) -> Memory:
-    """Bytes that a package's C declares."""
-    return memory_of(files, view.package.name, view.package.real)
 
 
 def manifest(view: PackageView, files: Mapping[str, str], archives: Mapping[str, bytes]) -> str:

@@ -9,7 +9,8 @@ from pathlib import Path
 from sgms_mhe.emission.bindings import binding_files
 from sgms_mhe.emission.budget import check_budget
 from sgms_mhe.emission.context import PackageView, package_view
-from sgms_mhe.emission.delivery import accompany, memory_of_package, write_folder
+from sgms_mhe.emission.delivery import accompany, write_folder
+from sgms_mhe.emission.layout import memory_of
 from sgms_mhe.emission.rendering import amalgamate_files, render, stamp_digest
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.emission.structure import analyse, report
@@ -74,7 +75,7 @@ def emit_package(
         view = replace(view, vectors=selftest_vectors(model))
     view = stamp_digest(view)
     files = render(view)
-    memory = memory_of_package(view, files)
+    memory = memory_of(files, machine.name, view.package.real)
     files |= _runtime(view)
     if amalgamate:
         files = amalgamate_files(files, machine.name)
