@@ -152,12 +152,12 @@ class Function:
 
     Attributes:
         statements: C statements, in order.
-        operations: (operation, how many), by name.
+        operations: how many of each, by name.
         cleared: (array, length) of those that are mostly zero: they are cleared first.
     """
 
     statements: tuple[str, ...]
-    operations: tuple[tuple[str, int], ...]
+    operations: Mapping[str, int]
     cleared: tuple[tuple[str, int], ...] = ()
 
 
@@ -230,7 +230,7 @@ class FunctionPrinter:
         }
         return Function(
             statements=tuple(self._printer.statements(targets, names, {})),
-            operations=_counts(nodes),
+            operations=operations(nodes),
             cleared=tuple((o.name, len(o.values)) for o in outputs if o.sparse and o.values),
         )
 
@@ -239,14 +239,10 @@ class FunctionPrinter:
         targets = [(o.place(k), node) for o in outputs for k, node in enumerate(o.values)]
         nodes = [node for _, node in targets]
         names = {node: f"at->{self._group_input(node)}" for node in walk(nodes) if node.op == "input"}
-        return Function(tuple(self._printer.statements(targets, names, group.names)), _counts(nodes))
+        return Function(tuple(self._printer.statements(targets, names, group.names)), operations(nodes))
 
     def _group_input(self, node: Node) -> str:
         """Field of a block's input: chi0 -> chi[0], term0 -> velocity, q0 -> q[0], data0 -> data[0]."""
         vector = next(iter(node.inputs))
         index = int(node.label.removeprefix("term" if vector == "terms" else vector))
         return self._terms[index] if vector == "terms" else f"{vector}[{index}]"
-
-
-def _counts(nodes: Sequence[Node]) -> tuple[tuple[str, int], ...]:
-    return tuple(sorted(operations(nodes).items()))

@@ -6,6 +6,7 @@ parameters alone or on signals alone can be found and computed once instead of i
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -13,38 +14,15 @@ import casadi as ca
 
 from sgms_mhe.support.errors import InputError
 
-_BINARY = {
-    ca.OP_ADD: "add",
-    ca.OP_SUB: "sub",
-    ca.OP_MUL: "mul",
-    ca.OP_DIV: "div",
-    ca.OP_FMAX: "fmax",
-    ca.OP_FMIN: "fmin",
-    ca.OP_LT: "lt",
-    ca.OP_LE: "le",
-    ca.OP_EQ: "eq",
-}
+_BINARY = {getattr(ca, f"OP_{op.upper()}"): op for op in ("add", "sub", "mul", "div", "fmax", "fmin", "lt", "le", "eq")}
 _UNARY = {
-    ca.OP_NEG: "neg",
-    ca.OP_EXP: "exp",
-    ca.OP_LOG: "log",
-    ca.OP_SQRT: "sqrt",
-    ca.OP_SIN: "sin",
-    ca.OP_COS: "cos",
-    ca.OP_TANH: "tanh",
-    ca.OP_FABS: "fabs",
-    ca.OP_SQ: "sq",
-    ca.OP_TWICE: "twice",
-    ca.OP_INV: "inv",
-    ca.OP_SIGN: "sign",
-    ca.OP_FLOOR: "floor",
-    ca.OP_NOT: "not",
+    getattr(ca, f"OP_{op.upper()}"): op
+    for op in "neg exp log sqrt sin cos tanh fabs sq twice inv sign floor not".split()
 }
 _CODES = {name: code for code, name in (_BINARY | _UNARY).items()}
 
-COST = {"add": 1, "sub": 1, "mul": 1, "neg": 0, "fabs": 0, "sq": 1, "twice": 1, "input": 0, "const": 0}
-"""Operations that are cheap enough to repeat; everything else (division, elementary functions) is `EXPENSIVE`."""
-EXPENSIVE = 10
+CHEAP = ("add", "sub", "mul", "neg", "fabs", "sq", "twice", "input", "const")
+"""Operations that are cheap enough to repeat; all others are divisions and elementary functions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +42,7 @@ class Node:
     @property
     def is_expensive(self) -> bool:
         """Return True if computing this node once more costs a division or an elementary function."""
-        return COST.get(self.op, EXPENSIVE) >= EXPENSIVE or any(a.is_expensive for a in self.args)
+        return self.op not in CHEAP or any(a.is_expensive for a in self.args)
 
 
 @dataclass
@@ -221,9 +199,5 @@ def frontier(nodes: Iterable[Node], keep: Callable[[Node], bool]) -> list[Node]:
 
 
 def operations(nodes: Iterable[Node]) -> dict[str, int]:
-    """Count the operations of a set of expressions by name."""
-    counts: dict[str, int] = {}
-    for node in walk(nodes):
-        if node.op not in ("input", "const"):
-            counts[node.op] = counts.get(node.op, 0) + 1
-    return counts
+    """Count the operations of a set of expressions, in the order of their names."""
+    return dict(sorted(Counter(node.op for node in walk(nodes) if node.op not in ("input", "const")).items()))

@@ -33,7 +33,7 @@ _OF: Final[Mapping[str, int]] = {
 
 def operations_of(function: Function | None) -> int:
     """Operations of one call; of none where there is no function."""
-    return sum(_OF.get(name, 1) * count for name, count in function.operations) if function else 0
+    return sum(_OF.get(name, 1) * count for name, count in function.operations.items()) if function else 0
 
 
 # --- small least squares, as sgms_linalg.h does them where nothing vectorises -----------------------------------------

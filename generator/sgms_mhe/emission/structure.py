@@ -117,15 +117,11 @@ class Structure:
     Attributes:
         groups: groups of blocks.
         sample_terms: what is stored per step; the first is always the velocity.
-        rhs_sparsity: pattern of d(rhs)/d(chi) (n_x x n_x, bool).
-        output_sparsity: which states and parameters the output depends on (n_x + n_p, bool).
     """
 
     model: Model
     groups: tuple[Group, ...]
     sample_terms: tuple[SampleTerm, ...]
-    rhs_sparsity: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
-    output_sparsity: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 
 def closed_sets(pattern: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> list[tuple[int, ...]]:
@@ -169,25 +165,9 @@ def upstream_states(model: Model, states: Sequence[int]) -> tuple[int, ...] | No
     return tuple(states[1:])
 
 
-def _depends_on(node: Node, *vectors: str) -> bool:
-    return bool(node.inputs) and node.inputs <= set(vectors)
-
-
-class _Terms:
-    """Sample terms shared by all blocks: signals, and functions of signals too expensive to repeat."""
-
-    def __init__(self) -> None:
-        self.nodes: list[Node] = []
-
-    def is_term(self, node: Node) -> bool:
-        if not _depends_on(node, "w"):
-            return False
-        return node.op == "input" or node.is_expensive
-
-    def add(self, nodes: Sequence[Node]) -> None:
-        for node in frontier(nodes, self.is_term):
-            if node not in self.nodes:
-                self.nodes.append(node)
+def _is_term(node: Node) -> bool:
+    """Return True for what is stored with a step: signals, and functions of signals too expensive to repeat."""
+    return node.inputs == {"w"} and (node.op == "input" or node.is_expensive)
 
 
 def analyse(model: Model) -> Structure:
@@ -204,19 +184,19 @@ def analyse(model: Model) -> Structure:
     # A law that divides by the level has its reciprocal, once per sample; a clip has the level itself.
     level = graph.read(model.level if switches else 1.0 / model.level, vectors, labels)[0]
     rho = graph.read(model.rho, vectors, labels) if model.n_z else []
-    terms = _Terms()
-    terms.add([graph.input("w", "velocity"), *rhs, *rho, level])
+    terms = frontier([graph.input("w", "velocity"), *rhs, *rho, level], _is_term)
     sampling = model.machine.sampling
     if sampling.merged > 1:  # between the nodes of a step the signals are interpolated, and their functions follow
-        terms.add([n for n in walk(terms.nodes) if n.op == "input"])
+        terms += [n for n in walk(terms) if n.op == "input" and n not in terms]
     w_symbols = {graph.input("w", n): s for n, s in zip(labels["w"], ca.vertsplit(model.w), strict=True)}
     theta_symbols = {
         graph.input("theta", n): s
         for n, s in zip(labels["theta"], ca.vertsplit(model.theta) if model.n_p else [], strict=True)
     }
+    level_name = "level" if switches else "inverse_level"
     sample_terms = tuple(
-        SampleTerm(("level" if switches else "inverse_level") if node is level else _term_name(node, k), expression)
-        for k, (node, expression) in enumerate(zip(terms.nodes, to_sx(terms.nodes, w_symbols), strict=True))
+        SampleTerm(node.label or (level_name if node is level else f"term_{k}"), expression)
+        for k, (node, expression) in enumerate(zip(terms, to_sx(terms, w_symbols), strict=True))
     )
     found: dict[object, list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]]] = {}
     for states in block_states(model):
@@ -226,16 +206,12 @@ def analyse(model: Model) -> Structure:
         q_nodes = _parameter_terms(own + extra)
         named = [(n, graph.read(e, vectors, labels)[0]) for i in states for n, e in model.names[i].items()]
         canonical = _canonical(
-            graph, own, extra, named, [labels["chi"][i] for i in states], terms.nodes, q_nodes, sampling.step
+            graph, own, extra, named, [labels["chi"][i] for i in states], terms, q_nodes, sampling.step
         )
         expressions = tuple(to_sx(q_nodes, theta_symbols))
         found.setdefault(canonical.signature, []).append((canonical, states, expressions))
     groups = tuple(_group(k, members, model.states, model.machine) for k, members in enumerate(found.values()))
-    output = ca.substitute(model.output, model.chi, model.from_node)
-    pattern = np.concatenate(
-        [sparsity(output, model.x)[0], sparsity(output, model.theta)[0] if model.n_p else np.zeros(0, bool)]
-    )
-    return Structure(model, groups, sample_terms, sparsity(model.rhs, model.chi), pattern)
+    return Structure(model, groups, sample_terms)
 
 
 def _while_sticking(model: Model) -> ca.SX:
@@ -244,14 +220,10 @@ def _while_sticking(model: Model) -> ca.SX:
     return ca.vertcat(*drives, model.rhs[model.n_z :])
 
 
-def _term_name(node: Node, k: int) -> str:
-    return node.label if node.op == "input" else f"term_{k}"
-
-
 def _parameter_terms(nodes: Sequence[Node]) -> list[Node]:
     """The scalars through which parameters enter: maximal theta-only nodes, or theta itself where that is fewer."""
-    terms = frontier(nodes, lambda node: _depends_on(node, "theta"))
-    raw = [n for n in walk(nodes) if n.op == "input" and _depends_on(n, "theta")]
+    terms = frontier(nodes, lambda node: node.inputs == {"theta"})
+    raw = [n for n in walk(nodes) if n.op == "input" and n.inputs == {"theta"}]
     return raw if len(raw) < len(terms) else terms
 
 
@@ -414,11 +386,13 @@ def report(structure: Structure) -> str:
         "Right side: which state's equation depends on which state (x)",
     ]
     width = max(len(s.name) for s in model.states)
-    for i, spec in enumerate(model.states):
-        row = " ".join("x" if structure.rhs_sparsity[i, j] else "." for j in range(model.n_x))
+    for spec, pattern in zip(model.states, sparsity(model.rhs, model.chi), strict=True):
+        row = " ".join("x" if depends else "." for depends in pattern)
         lines.append(f"  {spec.name:<{width}}  {row}")
     names = [s.name for s in model.states] + [p.column for p in model.parameters]
-    used = [n for n, u in zip(names, structure.output_sparsity, strict=True) if u]
+    output = ca.substitute(model.output, model.chi, model.from_node)
+    depends_on = ca.which_depends(output, ca.vertcat(model.x, model.theta))
+    used = [n for n, u in zip(names, depends_on, strict=True) if u]
     lines += ["", "Output depends on: " + ", ".join(used), "", "Stored per step of the series (once per new sample)"]
     lines += [f"  {t.name:<14} {t.expression}" for t in structure.sample_terms]
     total = 0
@@ -431,7 +405,7 @@ def report(structure: Structure) -> str:
             f"Group {group.name}: {len(group.blocks)} block(s) of {group.m} state(s), the same function",
             f"  parameters enter through {group.n_q} scalar(s); "
             f"{group.m * (group.m + group.n_q)} sensitivities per block instead of {model.n_x + model.n_p} per state",
-            "  one right side with sensitivities: " + ", ".join(f"{n} {op}" for op, n in sorted(stage.items())),
+            "  one right side with sensitivities: " + ", ".join(f"{n} {op}" for op, n in stage.items()),
         ]
         if group.switches:
             lines.append("  sticks or slips: a step is a clip")
