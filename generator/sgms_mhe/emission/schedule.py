@@ -40,32 +40,28 @@ def schedule_of(sizes: Sizes, variant: Variant) -> Costs:
     fold = 3 * width * width
     readings = 2 * sizes.factor_rows * width + sizes.inner * sizes.factor_rows * width
     condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * sizes.factor_rows * width
-    step = (sizes.step_cost + reading) * max(1, intervals)
+    step = (sum(g.cost * g.rows * g.n_blocks for g in sizes.groups) + reading) * max(1, intervals)
     # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
-    units = [(expand, slots - 1), (condense, 1), (step, sizes.steps if intervals else 0)]
-    units += (slots - 1) * [(readings, 1), (condense, 1)]
-    units.append((fold, sizes.inner))
+    units = [expand] * (slots - 1) + [condense] + [step] * (sizes.steps if intervals else 0)
+    units += [readings, condense] * (slots - 1) + [fold] * sizes.inner
     # A sample that completes a merged one has a step of its own to take.
     samples = sizes.samples - (sizes.steps if variant.merges else 1)
     return Costs(expand, step, readings, condense, fold, _least_per_sample(units, samples))
 
 
-def _least_per_sample(units: Sequence[tuple[int, int]], samples: int) -> int:
-    """The smallest cost per sample with which all `units` (cost, count) are done within `samples`, in their order.
+def _least_per_sample(units: Sequence[int], samples: int) -> int:
+    """The smallest cost per sample with which units of these costs are done within `samples`, in their order.
 
     A sample does units as long as they fit; more per sample never takes longer.
     """
-    total = sum(cost * count for cost, count in units)
 
     def is_enough(per_sample: int) -> bool:
         used = left = 0
-        for cost, count in units:
-            count, left = max(0, count - left // cost), left - min(count, left // cost) * cost
-            if count > 0:
-                whole = per_sample // cost
-                used += -(-count // whole)
-                left = per_sample - ((count - 1) % whole + 1) * cost
+        for cost in units:
+            if cost > left:
+                used, left = used + 1, per_sample
+            left -= cost
         return used <= samples
 
-    possible = range(max(cost for cost, count in units if count > 0), total)
+    possible = range(max(units), sum(units))
     return possible.start + bisect.bisect_left(possible, True, key=is_enough)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from sgms_mhe.emission.couplings import Couplings
 from sgms_mhe.emission.element_law import step_rates
 from sgms_mhe.emission.structure import Group, Structure
 from sgms_mhe.emission.variant import Variant
@@ -119,26 +120,6 @@ class Sizes:
         return len(self.block_states)
 
     @property
-    def most_blocks(self) -> int:
-        """Blocks of the largest group: what is side by side in one interval."""
-        return max(g.n_blocks for g in self.groups)
-
-    @property
-    def largest_block(self) -> int:
-        """States of the largest block."""
-        return max(len(states) for states in self.block_states)
-
-    @property
-    def step_cost(self) -> int:
-        """Multiplications, or so, of one step of the series of all blocks, at worst."""
-        return sum(g.cost * g.rows * g.n_blocks for g in self.groups)
-
-    @property
-    def blocks_rows(self) -> int:
-        """Rows of blocks side by side, group behind group."""
-        return sum(g.all_rows for g in self.groups)
-
-    @property
     def lanes_rows(self) -> int:
         """Rows of all blocks of an interval, one behind the other."""
         return sum(g.all_rows * g.n_blocks for g in self.groups)
@@ -159,11 +140,6 @@ class Sizes:
         return self.states + self.parameters
 
     @property
-    def defect_width(self) -> int:
-        """Numbers of a defect's row: states and parameters it depends on, right side."""
-        return self.coupled + self.entered + 1
-
-    @property
     def kept_width(self) -> int:
         """Numbers of a row that gives a node back: its state, the next node's, theta, right side."""
         return 2 * self.states + self.parameters + 1
@@ -174,26 +150,16 @@ class Sizes:
         return min(self.inner, self.factor_rows)
 
     @property
-    def inner_size(self) -> int:
-        """Numbers of these rows, row i from column i on."""
-        return self.triangle_row(self.inner_rows)
-
-    @property
     def root(self) -> int:
         """Numbers of the upper triangle of what is known of the parameters alone."""
         return self.parameters * (self.parameters + 1) // 2
-
-    @property
-    def triangle(self) -> int:
-        """Numbers of the upper triangle of a factor with its right side."""
-        return self.triangle_row(self.factor_rows)
 
     def triangle_row(self, row: int) -> int:
         """Where a row of that triangle begins."""
         return row * (2 * self.factor_rows + 3 - row) // 2
 
 
-def sizes_of(structure: Structure, variant: Variant) -> Sizes:
+def sizes_of(structure: Structure, variant: Variant, couplings: Couplings) -> Sizes:
     """Sizes of the package of a model."""
     model = structure.model
     sampling = model.machine.sampling
@@ -221,8 +187,8 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
         steps=steps,
         nodes=3 if variant.merges else 1,
         terms=len(structure.sample_terms),
-        coupled=max(len(row) for row in couplings(structure)),
-        entered=max(1, *(len(row) for row in entries_of(structure))),
+        coupled=max(couplings.counts),
+        entered=max(1, *couplings.entered),
         block_states=tuple(b.states for g in structure.groups for b in g.blocks),
         groups=groups,
         least_substeps=max(1, sampling.integrator.substeps // sampling.samples_per_update),
@@ -240,7 +206,6 @@ def names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
 def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
     """Sizes of the groups, one behind the other."""
     groups: list[GroupSizes] = []
-    first = first_q = first_row = first_lane_row = 0
     for group in structure.groups:
         sizes = GroupSizes(
             m=group.m,
@@ -249,16 +214,12 @@ def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
             n_rates=len(step_rates(group, structure)),
             n_blocks=len(group.blocks),
             cost=_cost(group, structure.model.machine.sampling.merged),
-            first=first,
-            first_q=first_q,
-            first_row=first_row,
-            first_lane_row=first_lane_row,
+            first=sum(g.n_blocks for g in groups),
+            first_q=sum(g.n_q * g.n_blocks for g in groups),
+            first_row=sum(g.all_rows for g in groups),
+            first_lane_row=sum(g.all_rows * g.n_blocks for g in groups),
         )
         groups.append(sizes)
-        first += sizes.n_blocks
-        first_q += sizes.n_q * sizes.n_blocks
-        first_row += sizes.all_rows
-        first_lane_row += sizes.all_rows * sizes.n_blocks
     return tuple(groups)
 
 
@@ -267,27 +228,3 @@ def _cost(group: Group, merged: int) -> int:
     if group.at_once:
         return CLIP_COST if merged == 1 else CLIP_COST + TURN_COST
     return merged * STEP_COST
-
-
-def couplings(structure: Structure) -> tuple[tuple[int, ...], ...]:
-    """Per state the states that share a block with it, itself included: the columns of A that may not be zero."""
-    blocks = [block.states for group in structure.groups for block in group.blocks]
-    states = range(structure.model.n_x)
-    return tuple(tuple(sorted({state for block in blocks if i in block for state in block})) for i in states)
-
-
-def node_scale(model: Model, i: int) -> ca.SX:
-    """x_i / chi_i, a function of the parameters."""
-    return ca.substitute(ca.gradient(model.to_node[i], model.chi)[i], model.chi, ca.SX.zeros(model.n_x))
-
-
-def entries_of(structure: Structure) -> tuple[tuple[int, ...], ...]:
-    """Per state the parameters that enter a block of it: the columns of B that may not be zero."""
-    model = structure.model
-    found: list[set[int]] = [set() for _ in range(model.n_x)]
-    for block in (block for group in structure.groups for block in group.blocks):
-        entering = ca.vertcat(*block.parameter_terms, *(node_scale(model, i) for i in block.states))
-        enters = {p for p, does in enumerate(ca.which_depends(entering, model.theta)) if does}
-        for i in block.states:
-            found[i] |= enters
-    return tuple(tuple(sorted(row)) for row in found)
