@@ -32,10 +32,7 @@ class GroupWork:
     def __init__(self, g: GroupView, of: PackageView) -> None:
         m, n_q, rows = g.sizes.m, g.sizes.n_q, g.sizes.rows
         self.g, self.of = g, of
-        self.rates = [
-            {name: rate for (name, _), rate in zip(g.rates, block.constants[g.sizes.n_data :], strict=True)}
-            for block in g.blocks
-        ]
+        self.rates = [{rate.name: rate.values[k] for rate in g.rates} for k in range(len(g.blocks))]
         self.level = operations_of(g.level)
         self.rhs = LAW + 6 * n_q + self.level if g.obeys_law else operations_of(g.rhs)
         self.drive = DRIVE + self.level if g.obeys_law else 0

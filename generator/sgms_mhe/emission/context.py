@@ -13,20 +13,18 @@ from sgms_mhe.emission.budget import Work
 from sgms_mhe.emission.c_source import CPrinter, Function, FunctionPrinter, Output, entries, scalar
 from sgms_mhe.emission.clock import Clock, clock_of
 from sgms_mhe.emission.compensation import FeedForward, compensation_of
-from sgms_mhe.emission.couplings import Couplings, couplings_of
+from sgms_mhe.emission.couplings import Couplings, couplings_of, node_scale
 from sgms_mhe.emission.element_law import RK4, ElementLaw, EmittedFlow, Stage, element_law, flow_of
 from sgms_mhe.emission.groups import GroupView, group_views
 from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
-from sgms_mhe.emission.sizes import Sizes, names_read, node_scale, sizes_of
+from sgms_mhe.emission.sizes import Sizes, names_read, sizes_of
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Status, Variant, statuses_of, variant_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model
 from sgms_mhe.signals.chain import lowpass_coefficients, mean_samples, settle_samples
 
-RUNTIME_VERSION = 5
-"""Version of the runtime headers that the templates are written for."""
 MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
 PAUSE_PART = 0.25
@@ -59,25 +57,16 @@ class LastingRule:
     """Factors on variances for errors of the model that stay.
 
     Attributes:
-        first: information of the mean over blocks of innovations before any: the measurements of a block.
-        colour: that mean, as the axis is known for.
         block: intervals with motion of a block.
         most: a block's square counts no more than so many times what it is on average.
         forgets: share that a mean over blocks forgets with an interval.
         doubted: factor, over that colour, beyond which the measurements contradict the model.
     """
 
-    first: float
-    colour: float
     block: int = 50
     most: float = 100.0
     forgets: float = 0.001
     doubted: float = 2.0
-
-    @classmethod
-    def of(cls, measurements: int, colour: float) -> LastingRule:
-        """The rule for so many measurements in an interval."""
-        return cls(first=float(cls.block * measurements), colour=colour)
 
 
 @dataclass(frozen=True)
@@ -88,7 +77,7 @@ class Identity:
         name: prefix of every symbol and file. NAME: the same of constants.
         description: one line about the axis.
         machine_digest: of the machine file that it was generated from.
-        version: of the generator. runtime_version: of the runtime headers.
+        version: of the generator. runtime_version: of the runtime headers that the templates are written for.
         real: C type of its numbers.
         header_digest: eight hexadecimal digits of all that the public header declares; zeros until it is rendered.
     """
@@ -96,9 +85,9 @@ class Identity:
     name: str
     description: str
     machine_digest: str
-    version: str
-    runtime_version: int
     real: str
+    version: str = __version__
+    runtime_version: int = 5
     header_digest: str = "00000000"
 
     @property
@@ -119,7 +108,6 @@ class SignalView:
         read: names of the signals that the estimator depends on, in the order of w.
         of_rows: names of those that the output's derivatives in (x, theta) depend on; of all of its own where
             it is not affine.
-        of_chain: those of the signals read that are asked for of the chain, beside velocity and friction.
         names: of all signals, in the order of w.
         raw: (name, sample term) of the signals that are sample terms themselves.
         mean_samples: that the mean acceleration is over; 0: no such signal.
@@ -132,7 +120,6 @@ class SignalView:
     slope_weights: tuple[float, ...]
     read: tuple[str, ...]
     of_rows: tuple[str, ...]
-    of_chain: tuple[str, ...]
     names: tuple[str, ...]
     raw: tuple[tuple[str, int], ...]
     mean_samples: int
@@ -159,8 +146,6 @@ class EmittedWeights:
             moved than a newer one to be linearised in its stead, squared.
     """
 
-    readings: ReadingRule
-    lasting: LastingRule
     prior_sd: tuple[float, ...]
     drift_sd: tuple[float, ...]
     hold_path: float
@@ -176,6 +161,8 @@ class EmittedWeights:
     implausible: float = 1e4
     least_noise: float = 1e-6
     clearly: float = 1.01**2
+    readings: ReadingRule = ReadingRule()
+    lasting: LastingRule = LastingRule()
 
 
 @dataclass(frozen=True)
@@ -247,7 +234,8 @@ def package_view(structure: Structure) -> PackageView:
     printer = CPrinter(machine.code.precision)
     functions = FunctionPrinter(structure, printer)
     variant = variant_of(model)
-    sizes = sizes_of(structure, variant)
+    couplings = couplings_of(structure)
+    sizes = sizes_of(structure, variant, couplings)
     groups = group_views(structure, sizes, functions)
     signals = _signals(structure)
     return PackageView(
@@ -258,7 +246,7 @@ def package_view(structure: Structure) -> PackageView:
         schedule=schedule_of(sizes, variant),
         signals=signals,
         weights=_weights(model, variant),
-        couplings=couplings_of(structure, sizes),
+        couplings=couplings,
         model=_model_view(structure, functions, signals.of_rows),
         groups=groups,
         rk4=RK4,
@@ -283,8 +271,6 @@ def _identity(machine: Machine, printer: CPrinter) -> Identity:
         name=machine.name,
         description=machine.description,
         machine_digest=machine.digest[:12],
-        version=__version__,
-        runtime_version=RUNTIME_VERSION,
         real=printer.real,
     )
 
@@ -301,7 +287,6 @@ def _signals(structure: Structure) -> SignalView:
         slope_weights=tuple(3.0 / (merged * merged - 1.0) * (2.0 * places + 1.0 - merged)) if merged > 1 else (),
         read=read,
         of_rows=_find_row_signals(structure.model),
-        of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
         names=names,
         raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in names),
         mean_samples=mean_samples(machine),
@@ -341,8 +326,6 @@ def _weights(model: Model, variant: Variant) -> EmittedWeights:
     largest = 1e30 if variant.single else 1e300
     smoothing = machine.friction.smoothing
     return EmittedWeights(
-        readings=ReadingRule(),
-        lasting=LastingRule.of(machine.sampling.readings_per_update, noise.colour),
         prior_sd=tuple(model.prior),
         drift_sd=tuple(model.drift) if variant.drifts else (0.0,) * model.n_p,
         hold_path=hold_path(machine),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sgms_mhe.emission.c_source import Function, FunctionPrinter, Output, scalar
 from sgms_mhe.emission.compensation import AHEAD_SLOW_DISPLACEMENT, Ahead, ahead_elastic
-from sgms_mhe.emission.element_law import common_slow_steps, element_law, follows_flow, step_rates
+from sgms_mhe.emission.element_law import StepRate, common_slow_steps, element_law, follows_flow, step_rates
 from sgms_mhe.emission.sizes import GroupSizes, Sizes
 from sgms_mhe.emission.structure import Block, Group, Structure
 
@@ -34,9 +34,8 @@ class GroupView:
     Attributes:
         name: C name.
         sizes: of the group.
-        terms: names of the sample terms, which its functions take.
         blocks: in the order of their states.
-        rates: (name, meaning) of the numbers of a block's substeps.
+        rates: numbers of the blocks' substeps.
         most_substeps: Runge-Kutta substeps of a step at max_velocity, of a group without steps in closed form.
         slow_steps: Runge-Kutta steps of constant signals at the flow's gate, where all blocks take as many.
         paced: the slower a block moves below the gate, the fewer of them it takes.
@@ -51,14 +50,13 @@ class GroupView:
         level_in_q: a parameter changes the level.
         slides: an element that slides through merged samples takes them at once.
         is_elements: the blocks are Maxwell-slip elements.
-        has_elastic_range: an element below some deflection moves with the axis, as far as the propagation ahead cares.
+        elastic_ahead: the propagation ahead moves elements with the axis below some deflection.
     """
 
     name: str
     sizes: GroupSizes
-    terms: tuple[str, ...]
     blocks: tuple[BlockView, ...]
-    rates: tuple[tuple[str, str], ...]
+    rates: tuple[StepRate, ...]
     most_substeps: int | None
     slow_steps: int | None
     paced: bool
@@ -72,7 +70,7 @@ class GroupView:
     level_in_q: bool
     slides: bool
     is_elements: bool
-    has_elastic_range: bool
+    elastic_ahead: bool
 
     @property
     def NAME(self) -> str:
@@ -93,11 +91,6 @@ class GroupView:
     def slow_ahead(self) -> bool:
         """Return True if the propagation ahead takes linearly implicit steps below its gate, and the flow above."""
         return self.follows_flow and self.is_slider
-
-    @property
-    def elastic_ahead(self) -> bool:
-        """Return True if the propagation ahead moves elastic elements with the axis."""
-        return self.is_slider and self.level is not None and self.has_elastic_range
 
     def slow_count(self, most: str, speed: str) -> str:
         """Number of Runge-Kutta steps below the gate, in C.
@@ -135,7 +128,6 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
     return GroupView(
         name=group.name,
         sizes=sizes,
-        terms=tuple(term.name for term in structure.sample_terms),
         blocks=tuple(
             BlockView(
                 states=block.states,
@@ -144,7 +136,7 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
             )
             for k, block in enumerate(group.blocks)
         ),
-        rates=tuple((rate.name, rate.meaning) for rate in rates),
+        rates=rates,
         most_substeps=None if flow or group.switches else max(math.ceil(most) for most in rates[-1].values),
         slow_steps=common_slow_steps(group, structure) if flow else None,
         paced=flow and not any(block.rate_per_second for block in group.blocks),
@@ -158,7 +150,7 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
         level_in_q=level_in_q,
         slides=flow and group.obeys_law and not level_in_q,
         is_elements=group.is_elements,
-        has_elastic_range=group.is_elements and not group.switches and ahead_elastic(machine) > 0.0,
+        elastic_ahead=(flow or law) and group.is_elements and group.m == 1 and ahead_elastic(machine) > 0.0,
     )
 
 

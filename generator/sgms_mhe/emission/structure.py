@@ -188,15 +188,11 @@ def analyse(model: Model) -> Structure:
     sampling = model.machine.sampling
     if sampling.merged > 1:  # between the nodes of a step the signals are interpolated, and their functions follow
         terms += [n for n in walk(terms) if n.op == "input" and n not in terms]
-    w_symbols = {graph.input("w", n): s for n, s in zip(labels["w"], ca.vertsplit(model.w), strict=True)}
-    theta_symbols = {
-        graph.input("theta", n): s
-        for n, s in zip(labels["theta"], ca.vertsplit(model.theta) if model.n_p else [], strict=True)
-    }
+    symbols = {graph.input(v, name): vectors[v][k] for v in ("w", "theta") for k, name in enumerate(labels[v])}
     level_name = "level" if switches else "inverse_level"
     sample_terms = tuple(
         SampleTerm(node.label or (level_name if node is level else f"term_{k}"), expression)
-        for k, (node, expression) in enumerate(zip(terms, to_sx(terms, w_symbols), strict=True))
+        for k, (node, expression) in enumerate(zip(terms, to_sx(terms, symbols), strict=True))
     )
     found: dict[object, list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]]] = {}
     for states in block_states(model):
@@ -208,7 +204,7 @@ def analyse(model: Model) -> Structure:
         canonical = _canonical(
             graph, own, extra, named, [labels["chi"][i] for i in states], terms, q_nodes, sampling.step
         )
-        expressions = tuple(to_sx(q_nodes, theta_symbols))
+        expressions = tuple(to_sx(q_nodes, symbols))
         found.setdefault(canonical.signature, []).append((canonical, states, expressions))
     groups = tuple(_group(k, members, model.states, model.machine) for k, members in enumerate(found.values()))
     return Structure(model, groups, sample_terms)
