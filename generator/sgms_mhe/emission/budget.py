@@ -40,7 +40,7 @@ class Work:
         prepare: of prepare(). feedback: of feedback() where prepare() ran before any measurement inside the interval
             came.
         update: of all calls of one interval.
-        parts: what of a tick the groups of blocks take, largest first.
+        largest: share of the group of blocks that takes most of a tick.
     """
 
     sample: int
@@ -49,7 +49,7 @@ class Work:
     prepare: int
     feedback: int
     update: int
-    parts: tuple[Part, ...]
+    largest: Part
 
     @property
     def stated(self) -> tuple[tuple[str, int, str], ...]:
@@ -63,21 +63,16 @@ class Work:
         )
 
 
-def tick_budget(machine: Machine) -> float:
-    """Operations that a tick may take: the stated budget, or what the default rate does in a sample period."""
-    return machine.code.tick_budget or OPERATION_RATE / machine.sampling.rate
-
-
 def check_budget(machine: Machine, work: Work) -> None:
     """Refuse a machine whose longest tick takes more than its budget.
 
     Raises:
         InputError: it does; the message says what takes most, and what to change.
     """
-    budget = tick_budget(machine)
+    budget = machine.code.tick_budget or OPERATION_RATE / machine.sampling.rate
     if work.tick <= budget:
         return
-    part = work.parts[0]
+    part = work.largest
     share = 100.0 * part.operations / work.tick
     default = "" if machine.code.tick_budget else f", what {OPERATION_RATE:g} operations per second leave at this rate"
     allowed = (

@@ -68,15 +68,8 @@ def work_of(of: PackageView) -> Work:
     else:  # the sample that ends an interval has no measurement inside it
         tick = max(sample + at_once, sample - reading + feedback)
     steps = 1 + intervals * sum(unit.is_step for unit in in_sample)
-    parts = (
-        Part(
-            states=tuple(of.model.state_names[i] for b in g.blocks for i in b.states),
-            operations=work.ahead + steps * work.step,
-            substeps=work.substeps,
-            in_closed_form=g.follows_flow or g.switches,
-        )
-        for g, work in groups
-    )
+    shares = [work.ahead + steps * work.step for _, work in groups]
+    g, work = groups[shares.index(max(shares))]
     of_samples = sizes.samples * without_step + sizes.steps * newest_step + sizes.inner * reading
     return Work(
         sample=sample,
@@ -85,7 +78,12 @@ def work_of(of: PackageView) -> Work:
         prepare=prepare,
         feedback=feedback + left_over,
         update=of_samples + prepare + feedback,
-        parts=tuple(sorted(parts, key=lambda part: -part.operations)),
+        largest=Part(
+            states=tuple(of.model.state_names[i] for b in g.blocks for i in b.states),
+            operations=max(shares),
+            substeps=work.substeps,
+            in_closed_form=g.follows_flow or g.switches,
+        ),
     )
 
 
