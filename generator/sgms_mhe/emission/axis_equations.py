@@ -26,16 +26,17 @@ class Language:
     Attributes:
         condition: of (condition, value where it holds, value elsewhere).
         quiet: puts an expression that is not smooth where a solver does not search for its switch.
-        functions: names of functions that are called otherwise than in the graph.
     """
 
     condition: str
     quiet: str
-    functions: Mapping[str, str]
 
 
-MODELICA: Final = Language("if {} then {} else {}", "noEvent({})", {"fabs": "abs", "fmax": "max", "fmin": "min"})
-SIMSCAPE: Final = Language("if {}, {} else {} end", "({})", {"fabs": "abs", "fmax": "max", "fmin": "min"})
+MODELICA: Final = Language("if {} then {} else {}", "noEvent({})")
+SIMSCAPE: Final = Language("if {}, {} else {} end", "({})")
+_SMOOTH: Final = ("exp", "log", "sqrt", "sin", "cos", "tanh")
+_SWITCHED: Final[Mapping[str, str]] = {"fabs": "abs", "fmax": "max", "fmin": "min", "floor": "floor"}
+"""Names of functions in these languages, by those of the graph."""
 
 
 class EquationPrinter(CPrinter):
@@ -75,10 +76,9 @@ class EquationPrinter(CPrinter):
             for place, value in reversed(node.table):
                 text = where(f"abs({arguments[0]} - {self.number(place)}) < 0.5", self.number(value), text)
             return language.quiet.format(text)
-        if op in ("exp", "log", "sqrt", "sin", "cos", "tanh", "floor", "fabs", "fmax", "fmin"):
-            call = f"{language.functions.get(op, op)}({', '.join(arguments)})"
-            return language.quiet.format(call) if op in ("floor", "fabs", "fmax", "fmin") else call
-        return None
+        if op in _SWITCHED:
+            return language.quiet.format(f"{_SWITCHED[op]}({', '.join(arguments)})")
+        return f"{op}({arguments[0]})" if op in _SMOOTH else None
 
 
 @dataclass(frozen=True)
