@@ -189,7 +189,7 @@ def _estimated_variables(view: PackageView) -> Iterator[_Row]:
         code = f"(double)now->deflection[{i}]"
         yield f"deflection[{i + 1}]", "Real", "output", unit, f"deflection of element {i + 1}", code
     for kind, text in (("parameter", "estimated"), ("deviation", "one standard deviation")):
-        for p, name in enumerate(view.model.parameter_columns):
+        for p, name in enumerate(parameter.column for parameter in view.model.parameters):
             yield f"{kind}.{name}", "Real", "output", "", f"{name}, {text}, SI units", f"(double)now->{kind}[{p}]"
 
 

@@ -177,7 +177,7 @@ class ModelView:
         deflection: z of (x, theta).
         si: p of theta, in SI units.
         feed_forward: y of (x, w, theta).
-        parameter_columns: names of the parameters. parameter_units: what one unit of theta is.
+        parameters: free ones, whose `scale` is what one unit of theta is.
     """
 
     sample_terms: Function
@@ -188,8 +188,7 @@ class ModelView:
     deflection: Function
     si: Function
     feed_forward: Function
-    parameter_columns: tuple[str, ...]
-    parameter_units: tuple[float, ...]
+    parameters: tuple[FreeParameter, ...]
     state_names: tuple[str, ...]
 
 
@@ -217,7 +216,6 @@ class PackageView:
     couplings: Couplings
     model: ModelView
     groups: tuple[GroupView, ...]
-    rk4: tuple[Stage, ...]
     law: ElementLaw | None
     flow: EmittedFlow | None
     compensation: FeedForward
@@ -225,6 +223,7 @@ class PackageView:
     tables: tuple[tuple[str, tuple[float, ...]], ...]
     vectors: Vectors | None = None
     work: Work | None = None
+    rk4: tuple[Stage, ...] = RK4
 
 
 def package_view(structure: Structure) -> PackageView:
@@ -240,7 +239,7 @@ def package_view(structure: Structure) -> PackageView:
     signals = _signals(structure)
     return PackageView(
         machine=machine,
-        package=_identity(machine, printer),
+        package=Identity(machine.name, machine.description, machine.digest[:12], printer.real),
         variant=variant,
         sizes=sizes,
         schedule=schedule_of(sizes, variant),
@@ -249,7 +248,6 @@ def package_view(structure: Structure) -> PackageView:
         couplings=couplings,
         model=_model_view(structure, functions, signals.of_rows),
         groups=groups,
-        rk4=RK4,
         law=element_law(machine) if any(g.obeys_law for g in groups) else None,
         flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
         compensation=compensation_of(machine),
@@ -263,15 +261,6 @@ def hold_path(machine: Machine) -> float:
     friction = machine.friction
     return HOLD_PART * min(
         nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True)
-    )
-
-
-def _identity(machine: Machine, printer: CPrinter) -> Identity:
-    return Identity(
-        name=machine.name,
-        description=machine.description,
-        machine_digest=machine.digest[:12],
-        real=printer.real,
     )
 
 
@@ -365,8 +354,7 @@ def _model_view(structure: Structure, functions: FunctionPrinter, of_rows: Seque
             {"theta": "theta"}, [Output("si", [_si(p, model.theta[k]) for k, p in enumerate(model.parameters)])]
         ),
         feed_forward=functions.model_function(point, [scalar("y", _to_node_state(model, model.feed_forward))]),
-        parameter_columns=tuple(p.column for p in model.parameters),
-        parameter_units=tuple(abs(p.scale) for p in model.parameters),
+        parameters=model.parameters,
         state_names=tuple(state.name for state in model.states),
     )
 

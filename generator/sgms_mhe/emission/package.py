@@ -22,8 +22,6 @@ from sgms_mhe.support.notebooks import Presentation, Shown
 from sgms_mhe.support.paths import runtime_dir
 
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
-FLOW_HEADER = "sgms_flow.h"
-TABLE_HEADER = "sgms_table.h"
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,8 +84,8 @@ def emit_package(
 
 def _runtime(view: PackageView) -> dict[str, str]:
     """The runtime headers that a package includes."""
-    names = RUNTIME_HEADERS + ((FLOW_HEADER,) if view.flow is not None else ())
-    names += (TABLE_HEADER,) if view.tables else ()
+    names = RUNTIME_HEADERS + (("sgms_flow.h",) if view.flow is not None else ())
+    names += ("sgms_table.h",) if view.tables else ()
     return {name: (runtime_dir() / name).read_text(encoding="utf-8") for name in names}
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.emission.compensation import compensation_of
 from sgms_mhe.emission.selftest_motion import CountedMotion, selftest_motion
+from sgms_mhe.emission.variant import variant_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, UpdateStatus, Weights, run_ekf, run_mhe
@@ -176,18 +177,16 @@ def _least_updates(model: Model) -> int:
 
 def _updates(model: Model) -> int:
     """Updates of the motion: until the window is full, as far as the reference gets in time."""
-    sampling, estimator = model.machine.sampling, model.machine.estimator
-    horizon = estimator.horizon if estimator.kind == "mhe" else 1
-    relinearise = estimator.relinearise if horizon > 1 else "newest"
+    sampling, variant = model.machine.sampling, variant_of(model)
     least = _least_updates(model)
-    wanted = max(least, min(horizon, 100) + _BEYOND_WINDOW)
+    wanted = max(least, min(max(1, variant.horizon), 100) + _BEYOND_WINDOW)
     is_jump = model.machine.friction.switches or sampling.integrator.scheme == "flow"
     each = sampling.samples_per_update // sampling.merged * (1 if is_jump else _RUNGE_KUTTA)
     each *= max(1, model.n_x // _STATES)
     steps = updates = 0
     while updates < wanted and (updates < least or steps < _MOST_STEPS):
         updates += 1
-        intervals = {"all": min(updates, horizon), "auto": min(updates, 2), "newest": 1}[relinearise]
+        intervals = {"all": min(updates, variant.horizon), "auto": min(updates, 2), "newest": 1}[variant.relinearise]
         steps += intervals * each
     return updates
 

@@ -32,7 +32,7 @@ class GroupSizes:
         m: states of a block.
         n_q: numbers through which parameters enter a block.
         n_data: numbers in which a block differs from the others.
-        n_rates: numbers that say how many substeps a block takes.
+        n_constants: numbers of a block that never change: these, and those of its substeps.
         n_blocks: blocks of the group.
         cost: multiplications, or so, of one step of the series for each row, at worst.
         first, first_q: the group's first block, and its first parameter term, among those of all groups.
@@ -43,7 +43,7 @@ class GroupSizes:
     m: int
     n_q: int
     n_data: int
-    n_rates: int
+    n_constants: int
     n_blocks: int
     cost: int
     first: int
@@ -55,11 +55,6 @@ class GroupSizes:
     def rows(self) -> int:
         """Rows of a block: chi, d(chi)/d(chi at the start) and d(chi)/dq."""
         return self.m * (1 + self.m + self.n_q)
-
-    @property
-    def n_constants(self) -> int:
-        """Numbers of a block that never change: its data, and those of its substeps."""
-        return self.n_data + self.n_rates
 
     @property
     def all_rows(self) -> int:
@@ -211,7 +206,7 @@ def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
             m=group.m,
             n_q=group.n_q,
             n_data=group.n_data,
-            n_rates=len(step_rates(group, structure)),
+            n_constants=group.n_data + len(step_rates(group, structure)),
             n_blocks=len(group.blocks),
             cost=_cost(group, structure.model.machine.sampling.merged),
             first=sum(g.n_blocks for g in groups),
