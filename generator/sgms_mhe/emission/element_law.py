@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from sgms_mhe.emission.structure import Block, Group, Structure
+from sgms_mhe.emission.structure import Block, Group
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import FlowTable, flow_table, gate_ratio
 from sgms_mhe.model.friction import SATURATED
@@ -153,14 +153,13 @@ class StepRate:
     values: tuple[float, ...]
 
 
-def follows_flow(group: Group, structure: Structure) -> bool:
+def follows_flow(group: Group, machine: Machine) -> bool:
     """Return True if the group's steps are taken by the displacement flow."""
-    return structure.model.machine.sampling.integrator.scheme == "flow" and group.is_elements
+    return machine.sampling.integrator.scheme == "flow" and group.is_elements
 
 
-def step_rates(group: Group, structure: Structure) -> tuple[StepRate, ...]:
+def step_rates(group: Group, machine: Machine) -> tuple[StepRate, ...]:
     """The numbers that decide how many substeps a step of the series takes, in the order of their rows."""
-    machine = structure.model.machine
     sampling, integrator = machine.sampling, machine.sampling.integrator
     metre = tuple(block.rate_per_metre for block in group.blocks)
     second = tuple(block.rate_per_second for block in group.blocks)
@@ -168,7 +167,7 @@ def step_rates(group: Group, structure: Structure) -> tuple[StepRate, ...]:
     if group.switches:
         return ()
     per_speed, at_rest = "substeps per speed, s/m", "and at standstill"
-    if not follows_flow(group, structure):
+    if not follows_flow(group, machine):
         per_step = step_time / integrator.displacement
         most = (sampling.max_velocity * m + s for m, s in zip(metre, second, strict=True))
         return (
@@ -178,36 +177,34 @@ def step_rates(group: Group, structure: Structure) -> tuple[StepRate, ...]:
         )
     rates = []
     if sampling.merged > 1:
-        slow = slow_displacement(structure)
+        slow = slow_displacement(machine)
         rates.append(StepRate("SUBSTEPS", per_speed, tuple(step_time * m / slow for m in metre)))
         rates.append(StepRate("AT_REST", at_rest, tuple(step_time * s / integrator.displacement for s in second)))
-    if common_slow_steps(group, structure) is None:
-        steps = tuple(float(slow_steps(block, structure)) for block in group.blocks)
+    if common_slow_steps(group, machine) is None:
+        steps = tuple(float(slow_steps(block, machine)) for block in group.blocks)
         rates.append(StepRate("SLOW", "Runge-Kutta steps at the gate", steps))
     return tuple(rates)
 
 
-def common_slow_steps(group: Group, structure: Structure) -> int | None:
+def common_slow_steps(group: Group, machine: Machine) -> int | None:
     """Runge-Kutta steps of constant signals below the gate, where they are the same for all blocks."""
-    steps = {slow_steps(block, structure) for block in group.blocks}
+    steps = {slow_steps(block, machine) for block in group.blocks}
     return steps.pop() if len(steps) == 1 else None
 
 
-def slow_steps(block: Block, structure: Structure) -> int:
+def slow_steps(block: Block, machine: Machine) -> int:
     """Runge-Kutta steps of constant signals at the flow's gate, the highest speed at which they are taken."""
-    machine = structure.model.machine
     sampling, friction = machine.sampling, machine.friction
     smoothing = friction.smoothed
     gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * friction.stribeck_velocity
-    moved = gate * sampling.step * block.rate_per_metre / slow_displacement(structure)
+    moved = gate * sampling.step * block.rate_per_metre / slow_displacement(machine)
     aged = sampling.step * block.rate_per_second / sampling.integrator.displacement
     return max(1, math.ceil(moved + aged))
 
 
-def slow_displacement(structure: Structure) -> float:
+def slow_displacement(machine: Machine) -> float:
     """Largest move of a Runge-Kutta step below the gate, where r moves slowly, in deflection scales.
 
     The slip window, 1 / lambda wide in r, bounds a step even there.
     """
-    machine = structure.model.machine
     return machine.sampling.integrator.slow_displacement * min(1.0, SLOW_LAMBDA / machine.friction.smoothed.lambda_)

@@ -9,7 +9,8 @@ from sgms_mhe.emission.c_source import Function, FunctionPrinter, Output, scalar
 from sgms_mhe.emission.compensation import AHEAD_SLOW_DISPLACEMENT, Ahead, ahead_elastic
 from sgms_mhe.emission.element_law import StepRate, common_slow_steps, element_law, follows_flow, step_rates
 from sgms_mhe.emission.sizes import GroupSizes, Sizes
-from sgms_mhe.emission.structure import Block, Group, Structure
+from sgms_mhe.emission.structure import Group, Structure
+from sgms_mhe.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -116,14 +117,16 @@ class GroupView:
 
 def group_views(structure: Structure, sizes: Sizes, printer: FunctionPrinter) -> tuple[GroupView, ...]:
     """All groups of a model."""
-    return tuple(_view(g, s, structure, printer) for g, s in zip(structure.groups, sizes.groups, strict=True))
+    return tuple(
+        _view(g, s, structure.model.machine, printer) for g, s in zip(structure.groups, sizes.groups, strict=True)
+    )
 
 
-def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: FunctionPrinter) -> GroupView:
-    machine = structure.model.machine
-    flow = follows_flow(group, structure)
+def _view(group: Group, sizes: GroupSizes, machine: Machine, printer: FunctionPrinter) -> GroupView:
+    flow = follows_flow(group, machine)
     law = group.obeys_law and element_law(machine) is not None
-    rates = step_rates(group, structure)
+    rates = step_rates(group, machine)
+    per_move = 1.0 / (AHEAD_SLOW_DISPLACEMENT if flow and group.m == 1 else Ahead.displacement)
     level_in_q = any(node.op != "const" for node in group.d_level)
     return GroupView(
         name=group.name,
@@ -132,13 +135,16 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
             BlockView(
                 states=block.states,
                 constants=block.data + tuple(rate.values[k] for rate in rates),
-                ahead_steps=_ahead_steps(block, structure, implicit=flow and group.m == 1),
+                ahead_steps=(
+                    block.rate_per_metre * per_move,
+                    block.rate_per_second / machine.sampling.integrator.displacement,
+                ),
             )
             for k, block in enumerate(group.blocks)
         ),
         rates=rates,
         most_substeps=None if flow or group.switches else max(math.ceil(most) for most in rates[-1].values),
-        slow_steps=common_slow_steps(group, structure) if flow else None,
+        slow_steps=common_slow_steps(group, machine) if flow else None,
         paced=flow and not any(block.rate_per_second for block in group.blocks),
         rhs=_rhs(group, printer),
         level=_level(group, printer, in_q=level_in_q) if flow or law or group.switches else None,
@@ -178,9 +184,3 @@ def _upstream(group: Group, printer: FunctionPrinter) -> Function:
         Output("upstream.by_q", group.upstream_by_q),
     ]
     return printer.group_function(group, outputs)
-
-
-def _ahead_steps(block: Block, structure: Structure, *, implicit: bool) -> tuple[float, float]:
-    per_move = 1.0 / (AHEAD_SLOW_DISPLACEMENT if implicit else Ahead.displacement)
-    displacement = structure.model.machine.sampling.integrator.displacement
-    return block.rate_per_metre * per_move, block.rate_per_second / displacement

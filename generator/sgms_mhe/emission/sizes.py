@@ -8,7 +8,7 @@ import casadi as ca
 
 from sgms_mhe.emission.couplings import Couplings
 from sgms_mhe.emission.element_law import step_rates
-from sgms_mhe.emission.structure import Group, Structure
+from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant
 from sgms_mhe.model import Model
 
@@ -201,14 +201,15 @@ def names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
 def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
     """Sizes of the groups, one behind the other."""
     groups: list[GroupSizes] = []
+    merged = structure.model.machine.sampling.merged  # at worst a step is taken sample by sample
     for group in structure.groups:
         sizes = GroupSizes(
             m=group.m,
             n_q=group.n_q,
             n_data=group.n_data,
-            n_constants=group.n_data + len(step_rates(group, structure)),
+            n_constants=group.n_data + len(step_rates(group, structure.model.machine)),
             n_blocks=len(group.blocks),
-            cost=_cost(group, structure.model.machine.sampling.merged),
+            cost=CLIP_COST + TURN_COST * (merged > 1) if group.at_once else merged * STEP_COST,
             first=sum(g.n_blocks for g in groups),
             first_q=sum(g.n_q * g.n_blocks for g in groups),
             first_row=sum(g.all_rows for g in groups),
@@ -216,10 +217,3 @@ def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
         )
         groups.append(sizes)
     return tuple(groups)
-
-
-def _cost(group: Group, merged: int) -> int:
-    """Multiplications, or so, of one step of merged samples for each row: at worst it is taken sample by sample."""
-    if group.at_once:
-        return CLIP_COST if merged == 1 else CLIP_COST + TURN_COST
-    return merged * STEP_COST
