@@ -47,7 +47,12 @@ class GroupWork:
         substeps = [self._most_substeps(k) for k in range(len(g.blocks))]
         self.substeps = max(substeps)
         self.step = self._step(substeps)
-        self.ahead = sum(self._ahead(k) for k in range(len(g.blocks)))
+        # Over the lag, and over the delay where there is one.
+        lag = of.compensation.lag + (
+            of.machine.sampling.merged * of.machine.sampling.step if of.variant.merges else 0.0
+        )
+        durations = (lag, of.machine.compensation.delay)[: of.compensation.moves]
+        self.ahead = sum(self._move(k, duration) for k in range(len(g.blocks)) for duration in durations)
 
     # --- a step of the series ---
 
@@ -150,14 +155,8 @@ class GroupWork:
 
     # --- ahead ---
 
-    def _ahead(self, k: int) -> int:
-        """The propagation ahead of block k, over the lag and over the delay."""
-        sampling, compensation = self.of.machine.sampling, self.of.compensation
-        lag = compensation.lag + (sampling.merged * sampling.step if self.of.variant.merges else 0.0)
-        durations = (lag, self.of.machine.compensation.delay)[: compensation.moves]
-        return sum(self._move(k, duration) for duration in durations)
-
     def _move(self, k: int, duration: float) -> int:
+        """A move of block k ahead."""
         g, ahead, sampling = self.g, self.of.compensation.ahead, self.of.machine.sampling
         upstream = operations_of(g.upstream) * (1 + round(duration * sampling.rate))
         if ahead is None:

@@ -68,7 +68,6 @@ class Sizes:
 
     Attributes:
         states, elements, parameters, signals: n_x, n_z, n_p, and entries of w.
-        horizon: intervals of the window; 0 for the filter.
         slots: intervals kept, the one that is filling included.
         vector: scalars in the widest vector register that is made use of. half_vector: in one of half the size.
         lane_stride: scalars side by side: intervals of one block, or blocks of one interval, padded to whole vectors.
@@ -89,7 +88,6 @@ class Sizes:
     elements: int
     parameters: int
     signals: int
-    horizon: int
     slots: int
     vector: int
     half_vector: int
@@ -170,7 +168,6 @@ def sizes_of(structure: Structure, variant: Variant, couplings: Couplings) -> Si
         elements=model.n_z,
         parameters=model.n_p,
         signals=len(model.signal_names),
-        horizon=variant.horizon,
         slots=slots,
         vector=vector,
         half_vector=min(vector, numbers // 2),

@@ -144,11 +144,6 @@ def sparsity(expression: ca.SX, variables: ca.SX) -> np.ndarray[tuple[int, int],
     return np.array(ca.DM(pattern, 1).full() != 0.0)
 
 
-def block_states(model: Model) -> list[tuple[int, ...]]:
-    """States of each block of the model."""
-    return closed_sets(sparsity(model.rhs, model.chi))
-
-
 def upstream_states(model: Model, states: Sequence[int]) -> tuple[int, ...] | None:
     """The states of a block beside its first, where that is a Maxwell-slip element and they leave it its flow.
 
@@ -195,7 +190,7 @@ def analyse(model: Model) -> Structure:
         for k, (node, expression) in enumerate(zip(terms, to_sx(terms, symbols), strict=True))
     )
     found: dict[object, list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]]] = {}
-    for states in block_states(model):
+    for states in closed_sets(sparsity(model.rhs, model.chi)):
         own = [rhs[i] for i in states]
         element = model.states[states[0]].element if upstream_states(model, states) is not None else None
         extra = [rho[element], level] if element is not None else []
