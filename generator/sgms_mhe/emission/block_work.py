@@ -47,10 +47,9 @@ class GroupWork:
         substeps = [self._most_substeps(k) for k in range(len(g.blocks))]
         self.substeps = max(substeps)
         self.step = self._step(substeps)
-        # Over the lag, and over the delay where there is one.
-        lag = of.compensation.lag + (
-            of.machine.sampling.merged * of.machine.sampling.step if of.variant.merges else 0.0
-        )
+        # Over the lag, with the samples that are in no step yet, and over the delay where there is one.
+        sampling = of.machine.sampling
+        lag = of.compensation.lag + (sampling.merged * sampling.step if of.variant.merges else 0.0)
         durations = (lag, of.machine.compensation.delay)[: of.compensation.moves]
         self.ahead = sum(self._move(k, duration) for k in range(len(g.blocks)) for duration in durations)
 

@@ -60,11 +60,8 @@ def accompany(
     includable = (public, *(file for file in bindings if file.endswith(".hpp")))
     delivery = Delivery(tuple(sources), (public, *headers), includable, memory, variables_of(view))
     pages = {
-        "README.md": "README.md",
-        "CMakeLists.txt": "CMakeLists.txt",
+        **{file: file for file in ("README.md", "CMakeLists.txt", "files.txt", "LICENSE")},
         f"{name}.pc.in": "machine.pc.in",
-        "files.txt": "files.txt",
-        "LICENSE": "LICENSE",
         **{file: template for file, template in bindings.items() if SUFFIX not in file},
     }
     whole = dict(files) | {file: render_page(view, template, delivery) for file, template in pages.items()}

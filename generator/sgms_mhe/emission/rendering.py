@@ -78,8 +78,7 @@ def render(view: PackageView) -> dict[str, str]:
     if view.vectors is not None:
         files[f"{name}_selftest.h"] = "selftest.h"
         files[f"{name}_selftest.c"] = "selftest.c"
-    precision: Precision = "single" if view.variant.single else "double"
-    return {file: _render(view, template, precision) for file, template in files.items()}
+    return {file: _render(view, template, view.machine.code.precision) for file, template in files.items()}
 
 
 def render_page(view: PackageView, template: str, delivery: object) -> str:
