@@ -98,16 +98,13 @@ class AxisModel:
         """Names of theta, as in results."""
         return tuple(parameter.column for parameter in self.model.parameters)
 
-    def value(self, expression: ca.SX) -> float:
-        """Return an expression of (chi, w, theta) at rest and at the machine's parameters."""
-        at_rest = ca.Function("at_rest", [self.model.chi, self.model.w, self.model.theta], [expression])
-        nominal = [parameter.nominal for parameter in self.model.parameters]
-        return float(at_rest(0.0, 0.0, nominal))
-
     @property
     def inertia(self) -> float:
-        """All that resists a slow acceleration, effects that add to it included [kg, kg m^2]."""
-        return self.model.machine.plant.moved + self.value(ca.jacobian(self.model.feed_forward, self.model.w[2]))
+        """All that resists a slow acceleration at rest, effects that add to it included [kg, kg m^2]."""
+        model = self.model
+        added = ca.Function("added", [model.chi, model.w, model.theta], [ca.jacobian(model.feed_forward, model.w[2])])
+        nominal = [parameter.nominal for parameter in model.parameters]
+        return model.machine.plant.moved + float(added(0.0, 0.0, nominal))
 
 
 def axis_model(machine: Machine) -> AxisModel:

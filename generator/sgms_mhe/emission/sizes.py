@@ -108,11 +108,6 @@ class Sizes:
     spacing: int
 
     @property
-    def blocks(self) -> int:
-        """Blocks of all groups."""
-        return len(self.block_states)
-
-    @property
     def lanes_rows(self) -> int:
         """Rows of all blocks of an interval, one behind the other."""
         return sum(g.all_rows * g.n_blocks for g in self.groups)
