@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import re
@@ -20,6 +21,8 @@ import pytest
 import sgms_mhe
 import sgms_mhe.cli
 from cli_cases import SMALL, done, files, read_columns, refused, run
+from sgms_mhe import diagnose, estimate, fleet, generate, identify, plan, predict, simulate
+from sgms_mhe.api.starting import start_text
 from sgms_mhe.cli import COMMANDS, WORKBENCH, cli, command_names
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
@@ -116,6 +119,33 @@ def test_what_computes_is_imported_late(arguments: list[str]) -> None:
     )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert ran.stderr == "[]\n"
+
+
+FUNCTIONS = {"simulate": simulate, "estimate": estimate, "predict": predict, "identify": identify, "fleet": fleet}
+FUNCTIONS |= {"diagnose": diagnose, "plan": plan, "generate": generate, "start": start_text}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_options_are_those_of_the_typed_function(name: str) -> None:
+    """Their range, default and help are read from the source, which is not imported: it has to be the same."""
+    options = {option.name: option for option in cli.get_command(click.Context(cli), name).params}
+    texts = " ".join((inspect.getdoc(FUNCTIONS[name]) or "").split())
+    marked = 0
+    for parameter in inspect.signature(FUNCTIONS[name], eval_str=True).parameters.values():
+        form = next((each for each in getattr(parameter.annotation, "__metadata__", ())), None)
+        if form is None:
+            continue
+        marked += 1
+        option = options[parameter.name]
+        kinds = option.type.types if isinstance(option.type, click.Tuple) else [option.type]
+        for kind in kinds:
+            if isinstance(kind, click.IntRange | click.FloatRange):
+                assert (kind.min, kind.max) == (form.least, form.most)
+        if parameter.default not in (None, False):
+            assert option.get_default(click.Context(cli)) == parameter.default
+        words = option.help.partition("; default: ")[0].rstrip(".")
+        assert f"{parameter.name}: {words[0].lower()}{words[1:]}".lower() in texts.lower()
+    assert marked
 
 
 def test_an_unknown_command_is_bad_input() -> None:

@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 from click.testing import CliRunner
 
-from sgms_mhe.api.starting import AxisNumbers, start_text
+from sgms_mhe.api.starting import start_text
 from sgms_mhe.cli import cli
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
@@ -47,16 +47,15 @@ def test_what_is_written_can_be_generated(words: list[str], tmp_path: Path) -> N
 
 
 def test_assumed_is_what_nobody_gave(tmp_path: Path) -> None:
-    def assumed(known: AxisNumbers) -> list[str]:
-        lines = start_text(known, tmp_path / "a.toml")[0].splitlines()
-        return [line.split(" = ")[0] for line in lines if "; assumed" in line]
+    def assumed(text: str) -> list[str]:
+        return [line.split(" = ")[0] for line in text.splitlines() if "; assumed" in line]
 
-    nothing = AxisNumbers("a", "linear", 12.0, 8000.0)
-    everything = AxisNumbers("a", "linear", 12.0, 8000.0, coulomb=4.0, viscous=20.0, break_away=1e-4)
+    nothing, _ = start_text(tmp_path / "a.toml", "linear", 12.0, 8000.0)
+    everything, _ = start_text(tmp_path / "a.toml", "linear", 12.0, 8000.0, coulomb=4.0, viscous=20.0, break_away=1e-4)
     always = ["fraction", "stribeck_ratio", "stribeck_velocity", "measurement"]
     assert assumed(nothing) == ["coulomb", "viscous", "stiffness", *always]
     assert assumed(everything) == always
-    content = tomllib.loads(start_text(everything, tmp_path / "a.toml")[0])
+    content = tomllib.loads(everything)
     friction = content["friction"]
     distances = [s * friction["coulomb"] / k for s, k in zip(friction["fraction"], friction["stiffness"], strict=True)]
     assert max(distances) == pytest.approx(1e-4, rel=1e-2)

@@ -46,15 +46,11 @@ def _signature(name: str, function: Any) -> str:
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind is parameter.KEYWORD_ONLY and not starred:
             lines, starred = [*lines, "    *,"], True
-        given = "" if parameter.default is parameter.empty else f" = {_default(parameter.default)}"
-        lines.append(f"    {parameter.name}: {parameter.annotation}{given},")
+        given = "" if parameter.default is parameter.empty else f" = {parameter.default!r}"
+        kind = re.sub(r"^Annotated\[(.*), Option\(.*\)\]$", r"\1", parameter.annotation)  # the command line's
+        lines.append(f"    {parameter.name}: {kind}{given},")
     returned = inspect.signature(function).return_annotation
     return "```python\n" + "\n".join([f"{name}(", *lines, f") -> {returned}"]) + "\n```"
-
-
-def _default(value: Any) -> str:
-    shown = repr(value)
-    return "{}" if shown.startswith("mappingproxy") else shown
 
 
 def _sections(text: str) -> str:

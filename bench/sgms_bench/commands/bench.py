@@ -5,22 +5,12 @@ from __future__ import annotations
 import shlex
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import click
-
-from sgms_bench.commands.common import flags_option
-from sgms_mhe.commands.common import (
-    check_output_folder,
-    example,
-    json_option,
-    json_text,
-    machine_argument,
-    make_folder,
-    out_option,
-    progress_bar,
-    show,
-)
+from sgms_bench.commands.common import split_flags
+from sgms_mhe.commands.common import check_output_folder, json_text, make_folder, progress_bar, show
+from sgms_mhe.commands.options import make_command
+from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     from sgms_bench.benchmark.results import Benchmark, BenchVariant, Peer
@@ -29,40 +19,34 @@ UPDATES = 500
 """The paper's motion with all that costs: its first second, a standstill and a crawl, costs half."""
 
 
-@click.command(
-    short_help="Time, instructions and errors of an update, beside a peer.",
-    epilog=example("bench etel_xy --quick", "bench etel_xy --out build/benchmark", "bench etel_xy --json"),
-)
-@machine_argument
-@click.option("--trajectory", metavar="NAME", default="paper", show_default=True, help="Simulated motion to replay.")
-@click.option(
-    "--updates",
-    type=click.IntRange(1, 100_000),
-    metavar="N",
-    default=UPDATES,
-    show_default=True,
-    help="Updates to time.",
-)
-@flags_option("-std=c99 -O3 -ffp-contract=off -DSGMS_VECTORS=1")
-@click.option("--quick", is_flag=True, help="A minute: the machine as it is written, and the peers, on one motion.")
-@out_option("Folder for the figures, as PNG and SVG, and the numbers, as JSON.", metavar="DIR", required=False)
-@json_option
+@make_command("bench etel_xy --quick", "bench etel_xy --out build/benchmark", "bench etel_xy --json")
 def command(
     machine: str,
-    trajectory: str,
-    updates: int,
-    cflags: tuple[str, ...] | None,
-    quick: bool,
-    out: Path | None,
-    as_json: bool,
+    *,
+    trajectory: Annotated[str, Option("NAME")] = "paper",
+    updates: Annotated[int, Option("N", 1, 100_000)] = UPDATES,
+    cflags: Annotated[str | None, Option("FLAGS")] = None,
+    quick: bool = False,
+    out: Annotated[Path | None, Option("DIR")] = None,
+    json: bool = False,
 ) -> None:
-    """Measure what an update of MACHINE's estimator costs on this host, beside the same problem exported by CasADi.
+    """Measure time, instructions and errors of an update, beside a peer.
+
+    The update is that of MACHINE's estimator on this host; the peer is the same problem exported by CasADi.
 
     Time and instructions (valgrind; null without it) of a variant are those of all the work between two updates: the
     samples, feedback, prepare; instructions_plain are those of -O2 alone. feedback_us is the time from the newest
     sample to the estimate. Those of a peer are residual and Jacobian of one window alone. state_error and
     sensitivity_error are the largest errors of one interval's integration, in scaled units, against a converged one.
+
+    Args:
+        trajectory: simulated motion to replay.
+        updates: number of updates to time.
+        cflags: compiler flags; None: -std=c99 -O3 -ffp-contract=off -DSGMS_VECTORS=1.
+        quick: a minute: the machine as it is written, and the peers, on one motion.
+        out: folder for the figures, as PNG and SVG, and the numbers, as JSON.
     """
+    flags = split_flags(cflags)
     from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
@@ -72,7 +56,7 @@ def command(
     from sgms_bench.benchmark.running import run_benchmark
     from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
-    flags = DEFAULT_FLAGS if cflags is None else cflags
+    flags = DEFAULT_FLAGS if flags is None else flags
     with progress_bar(f"bench {resolved.name}") as progress:
         benchmark = run_benchmark(
             resolved, trajectory=trajectory, updates=updates, quick=quick, flags=flags, progress=progress
@@ -88,7 +72,7 @@ def command(
         for name, figure in benchmark_figures(benchmark, resolved.name).items():
             for suffix in (".png", ".svg"):
                 save_figure(out / f"{name}{suffix}", figure)
-    show(content if as_json else _text(benchmark, resolved.name, shlex.join(flags)))
+    show(content if json else _text(benchmark, resolved.name, shlex.join(flags)))
 
 
 def _text(benchmark: Benchmark, machine: str, flags: str) -> str:

@@ -2,67 +2,46 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import click
 
-from sgms_mhe.commands.common import (
-    check_output_folder,
-    example,
-    json_option,
-    json_text,
-    machine_argument,
-    out_option,
-    progress_bar,
-    show,
-)
+from sgms_mhe.commands.common import check_output_folder, json_text, progress_bar, show
+from sgms_mhe.commands.options import make_command
+from sgms_mhe.support.options import Option
 
 LARGEST: Final = 0.8
 """Size of a hidden cause, over the Coulomb level."""
 
 
-def _sizes(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[float, ...]:
+def _read_sizes(text: str) -> tuple[float, ...]:
     """Sizes from a list with commas."""
     try:
-        sizes = tuple(float(word) for word in (value or "").split(",") if word.strip())
+        sizes = tuple(float(word) for word in text.split(",") if word.strip())
     except ValueError:
-        sizes = (math.nan,)
-    if value is not None and not (sizes and all(0.0 < size <= LARGEST for size in sizes)):
-        raise click.BadParameter(f"{value!r} is no list of numbers above 0 and up to {LARGEST:g}")
+        sizes = ()
+    if not (sizes and all(0.0 < size <= LARGEST for size in sizes)):
+        allowed = f"{text!r} is no list of numbers above 0 and up to {LARGEST:g}"
+        raise click.BadParameter(allowed, param_hint="'--sizes'")
     return sizes
 
 
-@click.command(epilog=example("bench-diagnosis etel_xy --out build/benchmark-diagnosis --draws 40"))
-@machine_argument
-@out_option("Folder of results; a run that it holds is continued.", metavar="DIR")
-@click.option(
-    "--draws", type=click.IntRange(1, 100_000), metavar="N", default=600, show_default=True, help="Logs to diagnose."
-)
-@click.option("--seed", type=click.IntRange(0), metavar="S", default=1, show_default=True, help="Of all draws.")
-@click.option(
-    "--jobs", type=click.IntRange(1, 256), metavar="J", default=2, show_default=True, help="Processes at a time."
-)
-@click.option("--planned", is_flag=True, help="Run the moves that tell two causes apart instead of draws.")
-@click.option(
-    "--sizes",
-    metavar="X,...",
-    callback=_sizes,
-    help="Hide every cause alone in these sizes, peak force over f_C, instead of draws.",
-)
-@json_option
+@make_command("bench-diagnosis etel_xy --out build/benchmark-diagnosis --draws 40")
 def command(
     machine: str,
-    out: Path,
-    draws: int,
-    seed: int,
-    jobs: int,
-    planned: bool,
-    sizes: tuple[float, ...],
-    as_json: bool,
+    *,
+    out: Annotated[Path, Option("DIR")],
+    draws: Annotated[int, Option("N", 1, 100_000)] = 600,
+    seed: Annotated[int, Option("S", 0)] = 1,
+    jobs: Annotated[int, Option("J", 1, 256)] = 2,
+    planned: bool = False,
+    sizes: Annotated[str | None, Option("X,...")] = None,
+    json: bool = False,
 ) -> None:
-    """Hide effects in simulated logs of MACHINE, diagnose each, and count what is found, missed and invented.
+    """Diagnose simulated logs of MACHINE with hidden effects.
+
+    Counts the causes that are found, missed and invented.
 
     Hidden are single effects, wrong numbers, pairs of effects, forces that no effect can represent, and nothing; with
     two friction laws, several motions and noise levels. An interrupted run goes on when it is called again.
@@ -72,7 +51,16 @@ def command(
 
     With --sizes: each cause alone, in each of these sizes, on both friction laws: what share of N logs it is found in,
     and how often its numbers are inside their intervals.
+
+    Args:
+        out: folder of results; a run that it holds is continued.
+        draws: logs to diagnose.
+        seed: seed of all draws.
+        jobs: processes at a time.
+        planned: run the moves that tell two causes apart instead of draws.
+        sizes: hide every cause alone in these sizes, peak force over f_C, instead of draws.
     """
+    wanted = () if sizes is None else _read_sizes(sizes)
     from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
@@ -86,13 +74,13 @@ def command(
     if planned:
         with progress_bar(f"planned moves on {resolved.name}") as progress:
             table = run_planned(resolved, out, jobs=jobs, progress=progress)
-        show(json_text(table.as_dict()) if as_json else str(table))
+        show(json_text(table.as_dict()) if json else str(table))
         return
-    if sizes:
+    if wanted:
         with progress_bar(f"causes of given size on {resolved.name}") as progress:
-            tables = run_small(resolved, out, sizes, draws=draws, seed=seed, jobs=jobs, progress=progress)
-        show(json_text([table.as_dict() for table in tables]) if as_json else "\n".join(map(str, tables)))
+            tables = run_small(resolved, out, wanted, draws=draws, seed=seed, jobs=jobs, progress=progress)
+        show(json_text([table.as_dict() for table in tables]) if json else "\n".join(map(str, tables)))
         return
     with progress_bar(f"diagnoses on {resolved.name}") as progress:
         summary = run_diagnosis_benchmark(resolved, out, draws=draws, seed=seed, jobs=jobs, progress=progress)
-    show(json_text(summary_json(summary)) if as_json else summary_text(summary))
+    show(json_text(summary_json(summary)) if json else summary_text(summary))

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
-import click
+from sgms_mhe.commands.common import check_output_folder, progress_bar, show
+from sgms_mhe.commands.options import make_command
+from sgms_mhe.support.options import Option
 
-from sgms_mhe.commands.common import check_output_folder, example, machine_argument, out_option, progress_bar, show
 
+@make_command("experiment etel_xy --out build/experiment")
+def command(machine: str, *, out: Annotated[Path, Option("DIR")]) -> None:
+    """Run the paper's experiment on MACHINE.
 
-@click.command(
-    short_help="The paper's experiment: table and figures.", epilog=example("experiment etel_xy --out build/experiment")
-)
-@machine_argument
-@out_option("Folder of figures and data.", metavar="DIR")
-def command(machine: str, out: Path) -> None:
-    """Run the paper's experiment on MACHINE: print its table, write figures and data."""
+    Prints its table, writes figures and data.
+
+    Args:
+        out: folder of figures and data.
+    """
     from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)

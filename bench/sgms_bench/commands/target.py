@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import click
-
-from sgms_bench.commands.common import flags_option
-from sgms_mhe.commands.common import (
-    example,
-    json_option,
-    json_text,
-    machine_argument,
-    note,
-    progress_bar,
-    recorded_log,
-    show,
-    table_text,
-)
-from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_bench.commands.common import split_flags
+from sgms_mhe.commands.common import json_text, note, progress_bar, recorded_log, show, table_text
+from sgms_mhe.commands.log_options import load_for_log
+from sgms_mhe.commands.options import make_command
+from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,52 +19,40 @@ if TYPE_CHECKING:
     from sgms_bench.target.trial import HostComparison, TargetTrial
 
 
-@click.command(
-    short_help="Run on an emulated microcontroller: instructions, flash, RAM.",
-    epilog=example("target etel_xy", "target etel_xy axis.csv --core riscv32 --json"),
-)
-@machine_argument
-@click.argument("log", type=click.Path(path_type=Path), required=False)
-@log_options
-@click.option(
-    "--core",
-    type=click.Choice(("cortex_m7", "riscv32")),
-    default="cortex_m7",
-    show_default=True,
-    help="Arm Cortex-M7, or RISC-V RV32IMAFC; both with a single-precision FPU.",
-)
-@click.option(
-    "--trajectory", metavar="NAME", default="mixed", show_default=True, help="Simulated motion, where there is no LOG."
-)
-@click.option(
-    "--updates", type=click.IntRange(1, 100_000), metavar="N", default=500, show_default=True, help="Their number."
-)
-@flags_option("-std=c99 -O2 -ffp-contract=off")
-@json_option
+@make_command("target etel_xy", "target etel_xy axis.csv --core riscv32 --json")
 def command(
     machine: str,
-    log: Path | None,
-    table: dict[str, Any],
-    core: str,
-    trajectory: str,
-    updates: int,
-    cflags: tuple[str, ...] | None,
-    as_json: bool,
-) -> None:
-    """Run MACHINE's package on an emulated microcontroller over LOG, or over a simulated motion.
+    log: Path | None = None,
+    *,
+    log_table: Mapping[str, Any],
+    core: Literal["cortex_m7", "riscv32"] = "cortex_m7",
+    trajectory: Annotated[str, Option("NAME")] = "mixed",
+    updates: Annotated[int, Option("N", 1, 100_000)] = 500,
+    cflags: Annotated[str | None, Option("FLAGS")] = None,
+    json: bool = False,
+) -> bool:
+    """Run on an emulated microcontroller: instructions, flash, RAM.
 
-    The package is compiled for the core in single precision, whatever the machine file says, and run by QEMU with
-    position and force of the log; other columns are not used. Printed are the instructions of every function, flash,
-    RAM and stack, and whether the estimates are those of the same package on this host. Instructions are those of an
-    emulated core, the same in every run; a real one's cycles also depend on its memory and its pipeline.
+    MACHINE's package runs over LOG, or over a simulated motion. It is compiled for the core in single precision,
+    whatever the machine file says, and run by QEMU with position and force of the log; other columns are not used.
+    Printed are the instructions of every function, flash, RAM and stack, and whether the estimates are those of the
+    same package on this host. Instructions are those of an emulated core, the same in every run; a real one's cycles
+    also depend on its memory and its pipeline.
 
     An update is all the work between two estimates where two tasks share it: the samples, feedback, prepare. A tick is
     one sample where one task does everything.
 
     Exit code 1 where the target's estimates are further from the host's than rounding explains, or the package holds
     double-precision arithmetic.
+
+    Args:
+        core: Arm Cortex-M7, or RISC-V RV32IMAFC; both with a single-precision FPU.
+        trajectory: simulated motion, where there is no LOG.
+        updates: their number.
+        cflags: compiler flags; None: -std=c99 -O2 -ffp-contract=off.
     """
-    resolved = load_for_log(machine, table)
+    own_flags = split_flags(cflags)
+    resolved = load_for_log(machine, log_table)
 
     from sgms_bench.motions import simulated_log
     from sgms_bench.target.trial import compare_with_host, run_trial, single_precision
@@ -90,13 +69,12 @@ def command(
         note(f"{resolved.name}: {resolved.code.precision} precision, taken as single for this core")
     variant = single_precision(resolved)
     package = emit_package(variant, selftest=False)
-    flags = TARGET_FLAGS if cflags is None else cflags
+    flags = TARGET_FLAGS if own_flags is None else own_flags
     with progress_bar(f"target {resolved.name}") as progress:
         trial = run_trial(variant, recorded, TARGETS[core], package=package, flags=flags, progress=progress)
     host = compare_with_host(trial, recorded, package=package)
-    show(json_text(_content(trial, host)) if as_json else _text(trial, host, flags))
-    if not host.agrees or trial.double_arithmetic:
-        click.get_current_context().exit(1)
+    show(json_text(_content(trial, host)) if json else _text(trial, host, flags))
+    return not host.agrees or bool(trial.double_arithmetic)
 
 
 def _calls(trial: TargetTrial) -> dict[str, NDArray[np.int64]]:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_bench.measured.table import Beginning, MeasuredRecord, MeasuredTable, start_numbers
+from sgms_bench.measured.table import Beginning, MeasuredRecord, MeasuredTable
 from sgms_mhe.api.diagnosis import diagnose
 from sgms_mhe.api.estimation import predict
 from sgms_mhe.api.identification import identify
@@ -179,8 +179,8 @@ def _begin(record: MeasuredRecord, stated: Machine | None, protocol: _Protocol, 
 def _make_start(record: MeasuredRecord, log: Log) -> Machine:
     speed = np.abs(np.gradient(log.position_m) * log.rate) if log.velocity_m_s is None else np.abs(log.velocity_m_s)
     fastest = float(np.nanmax(speed))
-    text = start_text(start_numbers(record, log.kind, float(f"{log.rate:.6g}"), fastest), Path("measured.toml"))
-    return text[1]
+    stated = record.start.model_dump() | {"max_velocity": record.start.max_velocity or 2.0 * fastest}
+    return start_text(Path("measured.toml"), log.kind, rate=float(f"{log.rate:.6g}"), **stated)[1]
 
 
 def _set_lowpass(machine: Machine, record: MeasuredRecord) -> Machine:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sgms_mhe.api.starting import AxisNumbers
-from sgms_mhe.machine import Kind
 from sgms_mhe.support.errors import InputError
 
 Beginning = Literal["file", "start", "identify"]
@@ -24,7 +21,7 @@ _Interval = tuple[Annotated[float, Field(ge=0.0)], _Positive]
 
 
 class StartNumbers(BaseModel):
-    """Numbers that `start` is told of an axis; see `AxisNumbers`."""
+    """Numbers that `start` is told of an axis."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -157,21 +154,3 @@ def _refusal(path: Path, error: ValidationError) -> InputError:
     where = ".".join(str(key + 1 if isinstance(key, int) else key) for key in first["loc"])
     value = None if first["type"] == "missing" else first["input"]
     return InputError(path, where or "content", value, first["msg"])
-
-
-def start_numbers(record: MeasuredRecord, kind: Kind, rate: float, fastest: float) -> AxisNumbers:
-    """Return what `start` is told of the axis of a record.
-
-    Args:
-        record: with the numbers that its table states.
-        kind: of the axis.
-        rate: of the log [Hz].
-        fastest: speed in the log [m/s, rad/s].
-    """
-    stated: Mapping[str, Any] = record.start.model_dump()
-    return AxisNumbers(
-        name="measured",
-        kind=kind,
-        rate=rate,
-        **{**stated, "max_velocity": record.start.max_velocity or 2.0 * fastest},
-    )

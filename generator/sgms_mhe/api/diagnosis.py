@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 from sgms_mhe.api.inputs import LOGGER, LogSource, Note, list_sources, load, recorded_log
 from sgms_mhe.diagnosis import Diagnosis
@@ -12,13 +13,14 @@ from sgms_mhe.diagnosis.criteria import Progress
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import read_only
+from sgms_mhe.support.options import Option
 
 
 def diagnose(
     machine: str | Path | Machine,
     log: LogSource | Sequence[LogSource],
     *,
-    held_out_s: Sequence[tuple[float, float]] | None = None,
+    held_out_s: Annotated[Sequence[tuple[float, float]] | None, Option("FROM TO", 0.0, 1e8)] = None,
     note: Note | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 from sgms_mhe.api.inputs import LogSource, Note, Progress, load, recorded_log
 from sgms_mhe.configuration import override_machine
@@ -19,16 +19,16 @@ from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import read_only
+from sgms_mhe.support.options import Option
 
-Solver = Literal["c", "reference", "ekf", "smoother"]
-SOLVERS: Final[tuple[Solver, ...]] = ("c", "reference", "ekf", "smoother")
+SOLVERS: Final = ("c", "reference", "ekf", "smoother")
 
 
 def estimate(
     machine: str | Path | Machine,
     log: LogSource,
     *,
-    solver: Solver = "c",
+    solver: Annotated[Literal["c", "reference", "ekf", "smoother"], Option()] = "c",
     progress: Progress | None = None,
     note: Note | None = None,
 ) -> Estimates:
@@ -37,8 +37,8 @@ def estimate(
     Args:
         machine: file, name, or loaded.
         log: file, Log or DataFrame; columns that replace the signal chain (velocity_m_s, ...) are used where they are.
-        solver: c: the generated C, compiled here; reference: the Python solver that it is judged by; ekf: the generated
-            C of an extended Kalman filter; smoother: least squares over the whole record.
+        solver: one of c, the generated C, compiled here; reference, the Python solver that it is judged by; ekf, the
+            generated C of an extended Kalman filter; smoother, least squares over the whole record.
         progress: called with (updates done, updates in all).
         note: called with each sentence on how the log was read; None: they are `LogWarning`s.
 
@@ -65,14 +65,18 @@ def estimate(
 
 
 def predict(
-    machine: str | Path | Machine, log: LogSource, *, lowpass_Hz: float | None = None, note: Note | None = None
+    machine: str | Path | Machine,
+    log: LogSource,
+    *,
+    lowpass_Hz: Annotated[float | None, Option(least=1e-3, most=1e7)] = None,
+    note: Note | None = None,
 ) -> PredictedFriction:
     """Run a machine's model along the motion in a log, without estimation.
 
     Args:
         machine: file, name, or loaded.
         log: file, Log or DataFrame.
-        lowpass_Hz: in place of the machine's velocity_cutoff.
+        lowpass_Hz: cutoff in place of the machine's velocity_cutoff [Hz].
         note: called with each sentence on how the log was read; None: they are `LogWarning`s.
 
     Returns:

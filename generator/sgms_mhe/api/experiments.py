@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from sgms_mhe.api.inputs import load
 from sgms_mhe.diagnosis.plan import MotionPlan, make_plan
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model.effects import EffectDefinition, effect_definition, effect_names
+from sgms_mhe.support.options import Option
 
 
-def plan(machine: str | Path | Machine, separate: tuple[str, str] | None = None) -> MotionPlan:
+def plan(
+    machine: str | Path | Machine, separate: Annotated[tuple[str, str] | None, Option("A B")] = None
+) -> MotionPlan:
     """Make the reference trajectory that separates two causes, or that excites every effect.
 
     Args:
         machine: file, name, or loaded.
-        separate: two causes by name; None: all effects.
+        separate: two causes by name; None: a motion that excites every effect.
 
     Returns:
         The trajectory and the reason for it.

@@ -81,8 +81,8 @@ def export(
 
     Args:
         machine: file, name, or loaded.
-        to: "mujoco", "urdf", "modelica", "simscape", "csv", "matlab", "fmu2" or "fmu3".
-        out: the file; its name without suffix is that of the model in it. None: write nothing.
+        to: one of mujoco, urdf, modelica, simscape, csv, matlab, fmu2, fmu3.
+        out: the file; its name without suffix is that of the model in it; None: write nothing.
         log: file, Log or DataFrame, along which the error of a simpler form is measured.
         note: called with each sentence on how the log was read.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
 from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, list_sources, load, read_log
 from sgms_mhe.identification import Identification, Wanted
@@ -11,16 +12,17 @@ from sgms_mhe.identification import identify as identify_logs
 from sgms_mhe.machine import Machine, Units
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import read_only
+from sgms_mhe.support.options import Option
 
 
 def identify(
     logs: LogSource | Iterable[LogSource],
     name: str = "axis",
     *,
-    mass: float | None = None,
-    inertia: float | None = None,
+    mass: Annotated[float | None, Option("KG", 1e-9, 1e6)] = None,
+    inertia: Annotated[float | None, Option("KG_M2", 1e-12, 1e6)] = None,
     elements: int | None = None,
-    like: str | Path | Machine | None = None,
+    like: Annotated[str | Path | Machine | None, Option("MACHINE")] = None,
     note: Note | None = None,
     progress: Step | None = None,
 ) -> Identification:
@@ -29,10 +31,10 @@ def identify(
     Args:
         logs: one log or several of one axis at one rate, in any order: files, Logs, DataFrames or arrays by name.
         name: of the machine.
-        mass: what moves [kg] on a linear axis; None: the one that the motion shows.
-        inertia: the same of a rotary axis [kg m^2].
+        mass: moved mass [kg]; None: the one that the motion shows.
+        inertia: the same of a rotary axis [kg m^2], as its logs say it is.
         elements: number of friction elements, 1 to 10; None: as many as held-out data gain by.
-        like: take sampling, estimator, code and `[log]` from this machine.
+        like: take sampling, estimator, code and [log] from this machine.
         note: called with each sentence on how the logs were read; None: they are `LogWarning`s.
         progress: called with each step; None: the logger `sgms_mhe.progress` is.
 

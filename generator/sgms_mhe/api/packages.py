@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
 from sgms_mhe.api.inputs import load
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Machine
+from sgms_mhe.support.options import Option
 
 
 def generate(
     machine: str | Path | Machine,
     out: str | Path | None = None,
     *,
-    amalgamate: bool = False,
+    amalgamate: Annotated[bool, Option()] = False,
     bindings: str | Iterable[str] = (),
 ) -> Package:
     """Emit a machine's estimator as C99 that needs no library.

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-import click
-
-from sgms_mhe.commands.common import example, json_option, json_text, machine_argument, progress_bar, show, table_text
+from sgms_mhe.commands.common import json_text, progress_bar, show, table_text
+from sgms_mhe.commands.options import make_command
 
 if TYPE_CHECKING:
     from sgms_mhe.emission.package import Package
@@ -16,13 +15,11 @@ LONGEST_LIST: Final = 8
 """Numbers of a list that are all shown."""
 
 
-@click.command(short_help="Check MACHINE and print it resolved.", epilog=example("check machines/etel_xy.toml"))
-@machine_argument
-@json_option
-def command(machine: str, as_json: bool) -> None:
-    """Check MACHINE and print it with everything resolved: `extends`, defaults, what follows from them.
+@make_command("check machines/etel_xy.toml")
+def command(machine: str, *, json: bool = False) -> None:
+    """Check MACHINE and print it resolved.
 
-    A machine that passes can be generated.
+    Resolved are `extends`, defaults, and what follows from them. A machine that passes can be generated.
     """
     from sgms_mhe.configuration import load_machine
 
@@ -32,7 +29,7 @@ def command(machine: str, as_json: bool) -> None:
 
     with progress_bar(f"check {resolved.name}"):
         package = emit_package(resolved, within_budget=True)  # what cannot be emitted is refused here
-    show(json_text(_content(resolved)) if as_json else _text(resolved, package))
+    show(json_text(_content(resolved)) if json else _text(resolved, package))
 
 
 def _content(machine: Machine) -> dict[str, Any]:

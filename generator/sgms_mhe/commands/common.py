@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import tempfile
 import threading
@@ -11,15 +10,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 import click
-from click.shell_completion import CompletionItem
 
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.json_values import finite
 from sgms_mhe.support.numbers import interval
-from sgms_mhe.support.paths import machines_dir
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -35,88 +32,6 @@ LINE_S: Final = 30.0
 """Between two lines of progress where no terminal shows a bar."""
 LONGEST_LOOK_S: Final = 2.0
 """A bar that was not looked at for longer was not running."""
-
-F = TypeVar("F", bound=Callable[..., object])
-
-
-def _machines(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Complete MACHINE for a shell: names in machines/, or files where none begins so."""
-    names = sorted(path.stem for path in machines_dir().glob("*.toml") if path.stem.startswith(begun))
-    return [CompletionItem(name) for name in names] or [CompletionItem(begun, type="file")]
-
-
-def effects_begun(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Complete an effect's name for a shell."""
-    from sgms_mhe.model.effects import effect_definition, effect_names
-
-    names = [name for name in effect_names() if name.startswith(begun)]
-    return [CompletionItem(name, help=effect_definition(name).summary) for name in names]
-
-
-def causes_begun(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Complete a cause's name for a shell."""
-    from sgms_mhe.model.effects import cause, cause_names
-
-    names = [name for name in cause_names() if name.startswith(begun)]
-    return [CompletionItem(name, help=cause(name).summary) for name in names]
-
-
-machine_argument = click.argument("machine", shell_complete=_machines)
-log_argument = click.argument("log", type=click.Path(path_type=Path))
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-
-
-trace_option = click.option(
-    "--trace",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder for all decisions with their numbers: one JSON file per stage.",
-)
-
-standalone_option = click.option(
-    "--standalone",
-    is_flag=True,
-    help="Write every table into the new machine file; otherwise it extends MACHINE by the path to its file.",
-)
-
-
-class NumberType(click.FloatRange):
-    """A finite number within a stated range, its ends included."""
-
-    def __init__(self, low: float, high: float) -> None:
-        super().__init__(low, high)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number of a text; refuses what is none, and NaN, which lies outside no range."""
-        number = super().convert(value, param, ctx)
-        if math.isnan(number):
-            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
-        return number
-
-
-LONGEST_RECORD: Final = 1e8
-"""Seconds, three years: beyond what any log holds."""
-
-
-def out_option(meaning: str, *, metavar: str = "FILE", required: bool = True) -> Callable[[F], F]:
-    """The option --out."""
-    return click.option(
-        "--out", type=click.Path(path_type=Path), metavar=metavar, required=required, help=meaning, show_default=False
-    )
-
-
-def part_options(meaning: str) -> Callable[[F], F]:
-    """The options --from and --to, in seconds since the log's first sample."""
-    seconds = NumberType(0.0, LONGEST_RECORD)
-    start = click.option("--from", "start_s", type=seconds, metavar="S", default=0.0, help=meaning)
-    end = click.option("--to", "end_s", type=seconds, metavar="S", default=LONGEST_RECORD, help="And until here [s].")
-    return lambda function: start(end(function))
-
-
-def example(*lines: str) -> str:
-    """Epilog of a command's help."""
-    return "\b\nExample:\n" + "\n".join(f"  sgms-mhe {line}" for line in lines)
-
 
 # --- inputs ----------------------------------------------------------------------------------------------------------
 

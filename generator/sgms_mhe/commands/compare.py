@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.commands.log_options import load_for_log
+from sgms_mhe.commands.options import make_command
 
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.comparison import Comparison
 
 
-@click.command(
-    short_help="Generated C against the reference solver.", epilog=common.example("compare etel_xy axis.csv")
-)
-@common.machine_argument
-@common.log_argument
-@log_options
-@common.json_option
-def command(machine: str, log: Path, table: dict[str, Any], as_json: bool) -> None:
-    """Run the generated C and the reference solver on the same signals and compare them, update by update.
+@make_command("compare etel_xy axis.csv")
+def command(machine: str, log: Path, *, log_table: Mapping[str, Any], json: bool = False) -> bool:
+    """Compare the generated C with the reference solver.
+
+    Both run on the same signals, and are compared update by update.
 
     Differences are relative: of friction and deflections to their range, of parameters and standard deviations to the
     reference's value. Double precision may differ by 1e-8 throughout. Single precision may differ by 1e-4 of the
@@ -33,7 +29,7 @@ def command(machine: str, log: Path, table: dict[str, Any], as_json: bool) -> No
 
     Exit code 1 where the two are further apart.
     """
-    resolved = load_for_log(machine, table)
+    resolved = load_for_log(machine, log_table)
 
     from sgms_mhe.api.estimation import check_length
     from sgms_mhe.evaluation.comparison import compare_signals
@@ -43,9 +39,8 @@ def command(machine: str, log: Path, table: dict[str, Any], as_json: bool) -> No
     check_length(recorded, resolved)
     with common.progress_bar(f"compare {resolved.name}") as progress:
         comparison = compare_signals(resolved, signals_from_log(recorded, resolved), progress=progress)
-    common.show(common.json_text(_content(comparison)) if as_json else _text(comparison))
-    if not comparison.agrees:
-        click.get_current_context().exit(1)
+    common.show(common.json_text(_content(comparison)) if json else _text(comparison))
+    return not comparison.agrees
 
 
 def _content(comparison: Comparison) -> dict[str, Any]:

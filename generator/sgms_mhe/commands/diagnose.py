@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.commands.log_options import load_for_log
+from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.decisions import trace_decisions
 from sgms_mhe.support.errors import ImplausibleError, InputError
 from sgms_mhe.support.numbers import interval
+from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.result import Diagnosis
@@ -23,45 +26,26 @@ if TYPE_CHECKING:
     from sgms_mhe.signals.logs import Log
 
 
-@click.command(
-    short_help="Find errors of the simulation along LOG, and causes.",
-    epilog=common.example("diagnose etel_xy log.csv --out diagnosis", "diagnose etel_xy first.csv second.csv"),
+@make_command(
+    "diagnose etel_xy log.csv --out diagnosis",
+    "diagnose etel_xy first.csv second.csv",
+    of="diagnosis.diagnose",
 )
-@common.machine_argument
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@log_options
-@common.out_option("Folder of the results; default: MACHINE's name and _diagnosis.", metavar="DIR", required=False)
-@click.option(
-    "--unseen",
-    type=click.Path(path_type=Path),
-    metavar="LOG",
-    help="Another log, on which the estimators of the machine and of the extended machine are compared.",
-)
-@common.part_options("Use the first log from here on [s since its start] as a log of its own, whose time starts here.")
-@click.option(
-    "--held-out",
-    type=(common.NumberType(0.0, common.LONGEST_RECORD), common.NumberType(0.0, common.LONGEST_RECORD)),
-    multiple=True,
-    metavar="FROM TO",
-    help="Seconds since the start that the fit behind the gain does not see; default: a third of the record.",
-)
-@common.standalone_option
-@common.trace_option
-@common.json_option
 def command(
     machine: str,
-    logs: tuple[Path, ...],
-    table: dict[str, Any],
-    out: Path | None,
-    unseen: Path | None,
-    start_s: float,
-    end_s: float,
-    held_out: tuple[tuple[float, float], ...],
-    standalone: bool,
-    trace: Path | None,
-    as_json: bool,
-) -> None:
-    """Find errors of MACHINE's simulation along LOG, name the cause, and measure the gain of its effect.
+    log: tuple[Path, ...],
+    *,
+    log_table: Mapping[str, Any],
+    out: Annotated[Path | None, Option("DIR")] = None,
+    unseen: Annotated[Path | None, Option("LOG")] = None,
+    start_s: Annotated[float, Option("S", 0.0, 1e8, "--from")] = 0.0,
+    end_s: Annotated[float, Option("S", 0.0, 1e8, "--to")] = math.inf,
+    held_out_s: Sequence[tuple[float, float]] | None = None,
+    standalone: bool = False,
+    trace: Annotated[Path | None, Option("DIR")] = None,
+    json: bool = False,
+) -> bool:
+    """Find errors of the simulation along LOG, and causes.
 
     With further LOGs of the same axis causes are sought in all, and numbers fitted to all: a cause transfers if it
     holds there too.
@@ -71,8 +55,14 @@ def command(
     the move that does) or unexplained (structure is left that no known effect accounts for; nothing is invented).
 
     Exit code 1: unexplained; so is a log whose force or position has another sign, scale or unit, which is said.
+
+    Args:
+        out: folder of the results; None: MACHINE's name and _diagnosis.
+        unseen: another log, on which the estimators of the machine and of the extended machine are compared.
+        start_s: use the first log from here on [s since its start] as a log of its own, whose time starts here.
+        end_s: and until here [s].
     """
-    resolved = load_for_log(machine, table)
+    resolved = load_for_log(machine, log_table)
     common.note_broken_effects()
     folder = out or Path(f"{resolved.name}_diagnosis")
     common.check_output_folder(folder)
@@ -82,16 +72,16 @@ def command(
     from sgms_mhe.logfiles.plausibility import check_plausible
     from sgms_mhe.report import attempt_report, closed_loop_gain
 
-    recorded = read_log(logs[0], resolved, start_s=start_s, end_s=end_s, note=common.note)
+    recorded = read_log(log[0], resolved, start_s=start_s, end_s=end_s, note=common.note)
     try:
         check_plausible(recorded, resolved)
     except ImplausibleError as error:
-        _say_implausible(error, resolved, recorded, folder, as_json)
-        return
-    others = [common.recorded_log(log, resolved) for log in logs[1:]]
+        _say_implausible(error, resolved, recorded, folder, json)
+        return True
+    others = [common.recorded_log(other, resolved) for other in log[1:]]
     another = common.recorded_log(unseen, resolved) if unseen else None
     with trace_decisions(trace), common.steps_bar() as progress:
-        found = diagnose(resolved, recorded, others=others, progress=progress, held_out_s=held_out or None)
+        found = diagnose(resolved, recorded, others=others, progress=progress, held_out_s=held_out_s)
     found = replace(found, standalone=standalone)
     write_diagnosis(found, folder)
     gain, refused = None, None
@@ -104,14 +94,13 @@ def command(
             refused = error
     report = attempt_report(found, folder, partial(click.echo, err=True), estimator=gain)
     units = resolved.plant.units
-    if as_json:
+    if json:
         common.show(common.json_text(found.to_json() | ({} if gain is None else {"unseen": units.keyed(_gain(gain))})))
     else:
         common.show(_text(found, folder, report, gain))
     if refused is not None:
         raise refused
-    if found.verdict == "unexplained":
-        click.get_current_context().exit(1)
+    return found.verdict == "unexplained"
 
 
 def _say_implausible(error: ImplausibleError, machine: Machine, log: Log, folder: Path, as_json: bool) -> None:
@@ -122,7 +111,6 @@ def _say_implausible(error: ImplausibleError, machine: Machine, log: Log, folder
     content = write_refusal(str(error), machine, folder)
     report = write_refusal_report(str(error), machine, log, folder)
     common.show(common.json_text(content) if as_json else f"unexplained: {error}\nreport: {report}")
-    click.get_current_context().exit(1)
 
 
 def _gain(gain: EstimatorGain) -> dict[str, object]:

@@ -6,9 +6,8 @@ import math
 import textwrap
 from typing import TYPE_CHECKING, Any, Final
 
-import click
-
-from sgms_mhe.commands.common import effects_begun, example, json_option, json_text, note_broken_effects, show
+from sgms_mhe.commands.common import json_text, note_broken_effects, show
+from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.names import did_you_mean
 
@@ -19,16 +18,12 @@ COLUMNS: Final = 100
 """Of the text; tables may be wider."""
 
 
-@click.command(
-    short_help="Effects of an axis beyond friction.", epilog=example("effects", "effects backlash", "effects --json")
-)
-@click.argument("name", required=False, shell_complete=effects_begun)
-@json_option
-def command(name: str | None, as_json: bool) -> None:
-    """List the effects that an axis may have, or say everything about the one called NAME.
+@make_command("effects", "effects backlash", "effects --json")
+def command(name: str | None = None, *, json: bool = False) -> None:
+    """List the effects of an axis beyond friction.
 
-    Of one: its parameters, what a log must hold to show it, the causes that look alike with the move that distinguishes
-    each, and the entry of a machine file, ready to be pasted.
+    Of the one called NAME: its parameters, what a log must hold to show it, the causes that look alike with the move
+    that distinguishes each, and the entry of a machine file, ready to be pasted.
     """
     from sgms_mhe.model.effects import effect_definition, effect_names
 
@@ -36,12 +31,12 @@ def command(name: str | None, as_json: bool) -> None:
     known = effect_names()
     if name is None:
         definitions = [effect_definition(each) for each in known]
-        show(json_text([_summary(definition) for definition in definitions]) if as_json else _list(definitions))
+        show(json_text([_summary(definition) for definition in definitions]) if json else _list(definitions))
         return
     if name not in known:
         raise InputError("effects", "name", name, f"one of {', '.join(known)}{did_you_mean(name, known)}")
     content = _content(effect_definition(name))
-    show(json_text(content) if as_json else _text(content))
+    show(json_text(content) if json else _text(content))
 
 
 def _summary(definition: EffectDefinition) -> dict[str, Any]:

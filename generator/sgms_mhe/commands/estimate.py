@@ -3,57 +3,49 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
-
-import click
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.commands.log_options import load_for_log
+from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.libraries import optional_library
+from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
     from sgms_mhe.signals.estimates import Estimates
 
-Solver = Literal["c", "reference", "ekf", "smoother"]
 PRIOR_FITS: Final = 3.0
 """Deviations of its prior from the machine file within which a parameter is where that expects it."""
-SOLVERS: Final = ("c", "reference", "ekf", "smoother")
 
 
-@click.command(
-    short_help="Estimate friction and parameters from a log.",
-    epilog=common.example(
-        "estimate etel_xy axis.csv --out estimates.csv",
-        "estimate machines/emps.toml DATA_EMPS.mat --out estimates.csv --plot figures",
-    ),
+@make_command(
+    "estimate etel_xy axis.csv --out estimates.csv",
+    "estimate machines/emps.toml DATA_EMPS.mat --out estimates.csv --plot figures",
+    of="estimation.estimate",
 )
-@common.machine_argument
-@common.log_argument
-@log_options
-@common.out_option("CSV to write: one row per update.")
-@click.option(
-    "--solver",
-    type=click.Choice(SOLVERS),
-    default="c",
-    show_default=True,
-    help="c: the generated C; reference: the Python solver that it is judged by; ekf: the generated C of an extended "
-    "Kalman filter; smoother: least squares over the whole record.",
-)
-@click.option(
-    "--plot", type=click.Path(path_type=Path), metavar="DIR", help="Also draw friction.png and parameters.png."
-)
-@common.json_option
 def command(
-    machine: str, log: Path, table: dict[str, Any], out: Path, solver: Solver, plot: Path | None, as_json: bool
+    machine: str,
+    log: Path,
+    *,
+    log_table: Mapping[str, Any],
+    out: Path,
+    solver: Any,
+    plot: Annotated[Path | None, Option("DIR")] = None,
+    json: bool = False,
 ) -> None:
-    """Estimate friction and parameters from LOG as the controller would, one row per update.
+    """Estimate friction and parameters from a log.
 
     The generated C takes position and force through its own signal chain; a log that brings velocity_m_s,
     acceleration_m_s2 or friction_N goes through the Python one, which uses those columns.
+
+    Args:
+        out: CSV to write: one row per update.
+        plot: also draw friction.png and parameters.png.
     """
-    resolved = load_for_log(machine, table)
+    resolved = load_for_log(machine, log_table)
     common.check_output_file(out)
     if plot is not None:
         common.check_output_folder(plot)
@@ -70,9 +62,7 @@ def command(
     note_wrong_noise(resolved, estimates)
     note_wrong_priors(resolved, estimates)
     summary = summarise(resolved, estimates, solver)
-    common.show(
-        common.json_text(resolved.plant.units.keyed(summary)) if as_json else summary_text(resolved, summary), out
-    )
+    common.show(common.json_text(resolved.plant.units.keyed(summary)) if json else summary_text(resolved, summary), out)
 
 
 def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
@@ -109,7 +99,7 @@ def note_wrong_priors(machine: Machine, estimates: Estimates) -> None:
             )
 
 
-def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[str, Any]:
+def summarise(machine: Machine, estimates: Estimates, solver: str) -> dict[str, Any]:
     """Return the content of --json: residual over the updates with a measurement, final parameters, status counts."""
     import numpy as np
 

@@ -2,62 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
-
-import click
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import log_options
+from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.numbers import interval
+from sgms_mhe.support.options import Option
 from sgms_mhe.support.parallel import workers
 
 if TYPE_CHECKING:
     from sgms_mhe.api.fleet import Fleet
 
-LONGEST_S = 1e6
 
-
-@click.command(
-    short_help="Diagnose, estimate or identify many logs.",
-    epilog=common.example(
-        "fleet diagnose table.csv --out fleet", "fleet estimate table.csv --scheduler tcp://head:8786"
-    ),
+@make_command(
+    "fleet diagnose table.csv --out fleet", "fleet estimate table.csv --scheduler tcp://head:8786", of="fleets.fleet"
 )
-@click.argument("verb", type=click.Choice(("diagnose", "estimate", "identify")))
-@click.argument("rows", metavar="TABLE", type=click.Path(path_type=Path))
-@log_options
-@common.out_option("Folder of the results; default: TABLE's name and the verb.", metavar="DIR", required=False)
-@click.option("--jobs", type=click.IntRange(1, 256), metavar="J", help="Processes at a time; default: one per core.")
-@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster that does the work in place of this host.")
-@click.option(
-    "--time-limit",
-    type=common.NumberType(1.0, LONGEST_S),
-    metavar="S",
-    default=1800.0,
-    show_default=True,
-    help="Of one log; it has failed then.",
-)
-@common.json_option
 def command(
     verb: Literal["diagnose", "estimate", "identify"],
-    rows: Path,
-    table: dict[str, Any],
-    out: Path | None,
-    jobs: int | None,
-    scheduler: str | None,
-    time_limit: float,
-    as_json: bool,
-) -> None:
-    """Diagnose, estimate or identify every row of TABLE, a CSV of machines and logs.
+    table: Path,
+    *,
+    log_table: Mapping[str, Any],
+    out: Annotated[Path | None, Option("DIR")] = None,
+    time_limit_s: float,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    json: bool = False,
+) -> bool:
+    """Diagnose, estimate or identify many logs.
 
-    Columns: machine, log (relative to TABLE); optional name, axis, date, mass. Writes results.csv, results.json and
-    fleet.html: parameters of every axis over time, which axis left its band and why, failures on top. Results are
-    stored as they come; a second run does missing and changed rows.
+    TABLE is a CSV of machines and logs. Columns: machine, log (relative to TABLE); optional name, axis, date, mass.
+    Writes results.csv, results.json and fleet.html: parameters of every axis over time, which axis left its band and
+    why, failures on top. Results are stored as they come; a second run does missing and changed rows.
 
     Exit code 1: some rows failed, the rest is done.
+
+    Args:
+        out: folder of the results; None: TABLE's name and the verb.
     """
-    folder = out or Path(f"{rows.stem}_{verb}")
+    folder = out or Path(f"{table.stem}_{verb}")
     common.check_output_folder(folder)
     common.note_broken_effects()
 
@@ -65,16 +49,15 @@ def command(
     from sgms_mhe.api.fleet.writing import results_json, write_fleet
     from sgms_mhe.support.processes import WorkerSlot
 
-    place = WorkerSlot(jobs or workers(), scheduler, time_limit)
+    place = WorkerSlot(jobs or workers(), scheduler, time_limit_s)
     with common.steps_bar(common.note) as progress:  # the result of each row is no progress
-        fleet = run_fleet(verb, rows, folder, place, progress, table)
+        fleet = run_fleet(verb, table, folder, place, progress, log_table)
     page = write_fleet(fleet, folder)
-    if as_json:
+    if json:
         common.show(common.json_text(results_json(fleet, folder)))
     else:
         common.show(_text(fleet, page))
-    if fleet.failures:
-        click.get_current_context().exit(1)
+    return bool(fleet.failures)
 
 
 def _text(fleet: Fleet, page: Path) -> str:

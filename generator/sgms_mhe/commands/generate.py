@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-
-import click
+from typing import Annotated, Any
 
 from sgms_mhe.commands import common
+from sgms_mhe.commands.options import make_command
+from sgms_mhe.support.options import Option
 
 
-@click.command(
-    short_help="Emit MACHINE's estimator as C99.",
-    epilog=common.example("generate etel_xy", "generate machines/etel_xy.toml --out firmware/etel_xy"),
-)
-@common.machine_argument
-@common.out_option(
-    "The package's folder; default generated/NAME below the working directory.", metavar="DIR", required=False
-)
-@click.option("--amalgamate", is_flag=True, help="All C in one source and one header.")
-@click.option("--bindings", metavar="LIST", help="Also for, with commas: python, cpp, fmu2, fmu3.")
-@common.json_option
-def command(machine: str, out: Path | None, amalgamate: bool, bindings: str | None, as_json: bool) -> None:
-    """Emit MACHINE's estimator as a folder of C99 that needs no library.
+@make_command("generate etel_xy", "generate machines/etel_xy.toml --out firmware/etel_xy", of="packages.generate")
+def command(
+    machine: str,
+    *,
+    out: Annotated[Path | None, Option("DIR")] = None,
+    bindings: Annotated[str | None, Option("LIST")] = None,
+    json: bool = False,
+    **options: Any,
+) -> None:
+    """Emit MACHINE's estimator as C99 that needs no library.
 
-    The folder is replaced as a whole, and only if nothing but an earlier package is in it.
+    Args:
+        out: the package's folder, replaced as a whole, and only if nothing but an earlier package is in it; None:
+            generated/NAME below the working directory.
+        bindings: also for, with commas: python, cpp, fmu2, fmu3.
     """
     from sgms_mhe.configuration import load_machine
 
@@ -35,12 +36,12 @@ def command(machine: str, out: Path | None, amalgamate: bool, bindings: str | No
     from sgms_mhe.api import packages
 
     with common.progress_bar(f"generate {resolved.name}"):
-        package = packages.generate(resolved, folder, amalgamate=amalgamate, bindings=names)
+        package = packages.generate(resolved, folder, bindings=names, **options)
     for sentence in package.missing:
         common.note(sentence)
     sizes = {name: len(text.encode()) for name, text in package.files.items()}
     sizes |= {name: len(archive) for name, archive in package.archives.items()}
-    if as_json:
+    if json:
         common.show(
             common.json_text(
                 {"machine": resolved.name, "digest": resolved.digest, "folder": str(folder), "files": sizes}

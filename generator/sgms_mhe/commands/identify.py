@@ -2,77 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.commands.log_options import load_for_log
+from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.decisions import trace_decisions
+from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.record_residual import MachineResidual
     from sgms_mhe.identification import Identification
 
-HEAVIEST: Final = 1e6
-"""kg, as in a machine file."""
 
-
-def _elements(ctx: click.Context, param: click.Parameter, text: str) -> int | None:
-    """The option --elements: a number, or None for auto."""
-    if text == "auto":
-        return None
-    if text.isdecimal() and 1 <= int(text) <= 10:
-        return int(text)
-    raise click.BadParameter(f"{text!r} is neither auto nor a number from 1 to 10.", ctx, param)
-
-
-@click.command(
-    short_help="A machine file from measurements alone.",
-    epilog=common.example(
-        "identify log.csv --out my_axis.toml --mass 20",
-        "identify first.csv second.csv --out my_axis.toml --like etel_xy",
-    ),
+@make_command(
+    "identify log.csv --out my_axis.toml --mass 20",
+    "identify first.csv second.csv --out my_axis.toml --like etel_xy",
+    of="identification.identify",
 )
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@log_options
-@common.out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
-@click.option(
-    "--mass",
-    type=common.NumberType(1e-9, HEAVIEST),
-    metavar="KG",
-    help="Moved mass; default: the one that the motion shows.",
-)
-@click.option(
-    "--inertia",
-    type=common.NumberType(1e-12, HEAVIEST),
-    metavar="KG_M2",
-    help="The same of an axis that turns; its logs say it does.",
-)
-@click.option(
-    "--elements", callback=_elements, metavar="N|auto", default="auto", show_default=True, help="Friction elements."
-)
-@click.option("--like", metavar="MACHINE", help="Take sampling, estimator, code and [log] from this machine.")
-@common.trace_option
-@common.json_option
 def command(
-    logs: tuple[Path, ...],
-    table: dict[str, Any],
-    out: Path,
-    mass: float | None,
-    inertia: float | None,
-    elements: int | None,
-    like: str | None,
-    trace: Path | None,
-    as_json: bool,
+    log: tuple[Path, ...],
+    *,
+    log_table: Mapping[str, Any],
+    out: Annotated[Path, Option("MACHINE.toml")],
+    elements: Annotated[str, Option("N|auto")] = "auto",
+    like: str | None = None,
+    trace: Annotated[Path | None, Option("DIR")] = None,
+    json: bool = False,
+    **options: Any,
 ) -> None:
-    """Identify an axis from its logs alone and write its machine file.
+    """Write a machine file from measurements alone.
 
     No starting values are asked for. Prints what the logs determine, with intervals of two standard deviations, and
     what they do not, with the move that would.
+
+    Args:
+        out: the machine file to write; its stem is the machine's name.
+        elements: number of friction elements; auto: as many as held-out data gain by.
     """
+    if elements != "auto" and not (elements.isdecimal() and 1 <= int(elements) <= 10):
+        allowed = f"{elements!r} is neither auto nor a number from 1 to 10."
+        raise click.BadParameter(allowed, param_hint="'--elements'")
     common.check_output_file(out, (".toml",))
 
     from sgms_mhe.api.identification import identify
@@ -81,26 +55,25 @@ def command(
     from sgms_mhe.machine.writing import toml_log
     from sgms_mhe.support.files import write_text
 
-    model = load_for_log(like, table) if like is not None else None
-    read = [read_log(path, model, table=table, note=common.note) for path in logs]
+    model = load_for_log(like, log_table) if like is not None else None
+    read = [read_log(path, model, table=log_table, note=common.note) for path in log]
     with trace_decisions(trace), common.step_notes() as progress:
         found = identify(
             read,
             out.stem,
-            mass=mass,
-            inertia=inertia,
-            elements=elements,
+            elements=None if elements == "auto" else int(elements),
             like=model,
             note=common.note,
             progress=progress,
+            **options,
         )
-    write_text(out, found.toml if model is not None else found.toml + toml_log(table, read[0].kind))
-    residuals = [measure_residual(found.machine, log) for log in read]
-    if as_json:
+    write_text(out, found.toml if model is not None else found.toml + toml_log(log_table, read[0].kind))
+    residuals = [measure_residual(found.machine, record) for record in read]
+    if json:
         stated = found.machine.plant.units.keyed({"residual_of_file": [residual.to_json() for residual in residuals]})
         common.show(common.json_text(found.to_json() | stated | {"file": str(out)}), out)
     else:
-        common.show(_text(found, residuals, [log.name for log in logs], out), out)
+        common.show(_text(found, residuals, [path.name for path in log], out), out)
 
 
 def _text(found: Identification, residuals: Sequence[MachineResidual], names: Sequence[str], out: Path) -> str:

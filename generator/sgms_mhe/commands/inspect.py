@@ -2,44 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-import click
+from typing import Annotated, Any
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.commands.log_options import load_for_log
+from sgms_mhe.commands.options import make_command
+from sgms_mhe.support.options import Option
 
 SHOWN = 12
 """Names of columns that are not read, that the text repeats."""
 
 
-@click.command(
-    short_help="Show how LOG is read.",
-    epilog=common.example("inspect axis.csv", "inspect DATA_EMPS.mat --machine emps"),
-)
-@common.log_argument
-@log_options
-@click.option("--machine", metavar="MACHINE", help="Machine file whose [log] and whose axis LOG is read for.")
-@common.json_option
-@click.pass_context
-def command(ctx: click.Context, log: Path, table: dict[str, Any], machine: str | None, as_json: bool) -> None:
-    """Show how LOG is read: dialect, columns, units, rate, jitter, missing samples, range.
+@make_command("inspect axis.csv", "inspect DATA_EMPS.mat --machine emps")
+def command(
+    log: Path,
+    *,
+    log_table: Mapping[str, Any],
+    machine: Annotated[str | None, Option("MACHINE")] = None,
+    json: bool = False,
+) -> bool:
+    """Show how LOG is read.
+
+    Shown are dialect, columns, units, rate, jitter, missing samples, range.
 
     Exit code 1 where the commands that read logs would refuse this one; the reason is printed.
+
+    Args:
+        machine: machine file whose [log] and whose axis LOG is read for.
     """
-    resolved = None if machine is None else load_for_log(machine, table)
+    resolved = None if machine is None else load_for_log(machine, log_table)
 
     from sgms_mhe.logfiles.inspection import inspect_log
     from sgms_mhe.machine import log_mapping
 
-    mapping = log_mapping(table, "[log]") if resolved is None and table else None
+    mapping = log_mapping(log_table, "[log]") if resolved is None and log_table else None
     found = inspect_log(log, resolved, mapping)
     content = found.as_dict()
-    common.show(common.json_text(content) if as_json else _text(content))
-    if found.problems:
-        ctx.exit(1)
+    common.show(common.json_text(content) if json else _text(content))
+    return bool(found.problems)
 
 
 def _text(content: dict[str, Any]) -> str:

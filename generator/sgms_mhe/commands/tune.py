@@ -2,46 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import click
+from typing import TYPE_CHECKING, Annotated, Any
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.commands.log_options import load_for_log
+from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.libraries import optional_library
+from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.tuning import Tuned
 
 
-@click.command(
-    short_help="Noise weights and horizon from a log.",
-    epilog=common.example("tune etel_xy log.csv --out tuned.toml", "tune my_axis.toml log.csv --plot trade_off.png"),
-)
-@common.machine_argument
-@common.log_argument
-@log_options
-@common.out_option("A machine file that extends MACHINE by the weights.", metavar="MACHINE.toml", required=False)
-@common.standalone_option
-@click.option("--plot", type=click.Path(path_type=Path), metavar="PNG", help="Draw the gain of every weight.")
-@common.json_option
+@make_command("tune etel_xy log.csv --out tuned.toml", "tune my_axis.toml log.csv --plot trade_off.png")
 def command(
     machine: str,
     log: Path,
-    table: dict[str, Any],
-    out: Path | None,
-    standalone: bool,
-    plot: Path | None,
-    as_json: bool,
+    *,
+    log_table: Mapping[str, Any],
+    out: Annotated[Path | None, Option("MACHINE.toml")] = None,
+    standalone: bool = False,
+    plot: Annotated[Path | None, Option("PNG")] = None,
+    json: bool = False,
 ) -> None:
-    """Find the noise weights and the horizon under which LOG is likeliest.
+    """Find noise weights and horizon under which LOG is likeliest.
 
     The innovations are then as large as the estimator says they are: the mean test ratio is near 1. Weights that the
     log cannot distinguish from the file's stay as they are. Standard deviations at the start
     (parameter, initial_state) are the user's and stay.
+
+    Args:
+        out: a machine file that extends MACHINE by the weights.
+        plot: draw the gain of every weight.
     """
-    resolved = load_for_log(machine, table)
+    resolved = load_for_log(machine, log_table)
     if out is not None:
         common.check_output_file(out, (".toml",))
     if plot is not None:
@@ -59,7 +55,7 @@ def command(
     if plot is not None:
         save_figure(plot, trade_off_figure(tuned))
     outputs = [path for path in (out, plot) if path is not None]
-    common.show(common.json_text(_content(tuned)) if as_json else _text(tuned, outputs), *outputs)
+    common.show(common.json_text(_content(tuned)) if json else _text(tuned, outputs), *outputs)
 
 
 def _content(tuned: Tuned) -> dict[str, Any]:

@@ -6,15 +6,18 @@ import math
 import signal
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 
 import click
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.commands.log_options import load_for_log
+from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     from sgms_mhe.api.watching import ReplayClock, SampleSource, Watch
@@ -25,14 +28,6 @@ TOGETHER_S: Final = 1.0
 """Within so long signals are one: timeout(1) and some supervisors tell a process and its group."""
 SHOWN: Final = 10
 """Stretches with a fault that the text lists."""
-
-
-class Speed(common.NumberType):
-    """A number, or `max`."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number; infinite for `max`."""
-        return math.inf if value in ("max", math.inf) else super().convert(value, param, ctx)
 
 
 class Interrupt:
@@ -66,69 +61,46 @@ class Interrupt:
             self.number, self._asked_s = number, now
 
 
-@click.command(
-    short_help="Show an estimator live along a log that grows, or is replayed.",
-    epilog=common.example(
-        "watch etel_xy axis.csv --speed 10 --page axis.html",
-        "watch etel_xy axis.csv --follow --out estimates.csv",
-        "watch etel_xy - < /dev/ttyACM0",
-    ),
+@make_command(
+    "watch etel_xy axis.csv --speed 10 --page axis.html",
+    "watch etel_xy axis.csv --follow --out estimates.csv",
+    "watch etel_xy - < /dev/ttyACM0",
 )
-@common.machine_argument
-@common.log_argument
-@log_options
-@click.option("--follow", is_flag=True, help="LOG grows: go on with its new rows.")
-@click.option(
-    "--speed",
-    type=Speed(1e-3, 1e6),
-    metavar="X",
-    default=1.0,
-    show_default=True,
-    help="Of a replay, times real time; max: as fast as it goes.",
-)
-@click.option(
-    "--idle", "idle_s", type=common.NumberType(0.1, 1e6), metavar="S", help="End after so long without a new line [s]."
-)
-@click.option(
-    "--every",
-    "every_s",
-    type=common.NumberType(1e-3, common.LONGEST_RECORD),
-    metavar="S",
-    default=5.0,
-    show_default=True,
-    help="A line on stderr so often [s of the log].",
-)
-@click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Page to write, anew every 2 s.")
-@common.out_option("CSV to write, as estimate does: rows are appended as they come.", required=False)
-@common.json_option
-@click.pass_context
 def command(
-    ctx: click.Context,
     machine: str,
     log: Path,
-    table: dict[str, Any],
-    follow: bool,
-    speed: float,
-    idle_s: float | None,
-    every_s: float,
-    page: Path | None,
-    out: Path | None,
-    as_json: bool,
-) -> None:
-    """Run MACHINE's estimator along LOG as it is written, or as it was, and show its estimates.
+    *,
+    log_table: Mapping[str, Any],
+    follow: bool = False,
+    speed: Annotated[float, Option("X", 1e-3, 1e6, infinite="max")] = 1.0,
+    idle_s: Annotated[float | None, Option(least=0.1, most=1e6)] = None,
+    every_s: Annotated[float, Option(least=1e-3, most=1e8)] = 5.0,
+    page: Path | None = None,
+    out: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Show an estimator live along a log that grows, or is replayed.
 
     Shown are friction, parameters with their bounds, test ratio and status; at the end, after Ctrl-C too, a summary.
     LOG is a log that is replayed; with --follow a text that grows; - for standard input, or a pipe. The numbers are
     those of estimate, to the last bit.
+
+    Args:
+        follow: LOG grows: go on with its new rows.
+        speed: of a replay, times real time; max: as fast as it goes.
+        idle_s: end after so long without a new line [s].
+        every_s: a line on stderr so often [s of the log].
+        page: page to write, anew every 2 s.
+        out: CSV to write, as estimate does: rows are appended as they come.
     """
-    resolved = load_for_log(machine, table)
+    resolved = load_for_log(machine, log_table)
     for path, suffixes in ((out, ()), (page, (".html", ".htm"))):
         if path is not None:
             common.check_output_file(path, suffixes)
     growing = follow or str(log) == "-" or common.is_stream(log)
     if idle_s is not None and not growing:
         raise InputError(log, "--idle", idle_s, "a log that grows: --follow, a pipe, or - for standard input")
-    given = ctx.get_parameter_source("speed")
+    given = click.get_current_context().get_parameter_source("speed")
     if growing and given is not None and given.name == "COMMANDLINE":
         raise InputError(log, "--speed", speed, "a log that is replayed; one that grows comes as fast as it is written")
 
@@ -149,11 +121,11 @@ def command(
         if watch.course.updates:
             remarks = [*watch.doubts, *source.remarks, *([str(error)] if error is not None else [])]
             summary = {"log": name, "ended": ended, "remarks": remarks} | watch.course.summary()
-            text = common.json_text(resolved.plant.units.keyed(summary)) if as_json else _text(resolved, summary)
+            text = common.json_text(resolved.plant.units.keyed(summary)) if json else _text(resolved, summary)
             common.show(text, *([] if out is None else [out]))
             if shown is not None:
                 shown.end(watch.course, ended, tuple(remarks))
-    _leave(ctx, interrupt, watch, error, name)
+    return _exit_code(interrupt, watch, error, name)
 
 
 def _source(
@@ -200,8 +172,8 @@ def _run(
     return None
 
 
-def _leave(ctx: click.Context, interrupt: Interrupt, watch: Watch, error: InputError | None, name: str) -> None:
-    """End as the contract of exit codes says.
+def _exit_code(interrupt: Interrupt, watch: Watch, error: InputError | None, name: str) -> int:
+    """Return the exit code of a run.
 
     Raises:
         InputError: what ended the run, or that there was no update.
@@ -210,14 +182,13 @@ def _leave(ctx: click.Context, interrupt: Interrupt, watch: Watch, error: InputE
         raise error
     if interrupt.number:
         common.note(f"Interrupted after {watch.course.updates} updates.")
-        ctx.exit(128 + interrupt.number)
+        return 128 + interrupt.number
     if not watch.course.updates:
         machine = watch.course.machine
         least = machine.sampling.samples_per_update + 1
         allowed = f"at least {least}, what one update of {machine.name} takes"
         raise InputError(name, "rows", watch.course.samples, allowed)
-    if watch.doubts:
-        ctx.exit(1)
+    return bool(watch.doubts)
 
 
 def _text(machine: Machine, summary: dict[str, Any]) -> str:
