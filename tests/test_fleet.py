@@ -21,13 +21,14 @@ import diagnosis_cases
 from cli_cases import SCRIPT, SMALL, done, files, read_columns, refused, run
 from dask_cluster import Cluster
 from sgms_mhe.api.fleet import Done, Fleet, run_fleet
-from sgms_mhe.api.fleet.bands import LEVEL, NumberSeries, courses
+from sgms_mhe.api.fleet.bands import LEVEL, courses
 from sgms_mhe.api.fleet.table import Row, read_table
 from sgms_mhe.api.fleet.work import FleetNumber, Result, machine_name, work
 from sgms_mhe.api.fleet.writing import results_json, write_fleet
 from sgms_mhe.commands.fleet import _text as fleet_text
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis.result import Standing
+from sgms_mhe.report import FleetCourse
 from sgms_mhe.support.processes import HERE, WorkerSlot
 
 
@@ -292,7 +293,7 @@ def course(values: list[float], *, std: float = 0.1, machine: str = "m", axis: s
     return found
 
 
-def only(found: tuple[NumberSeries, ...], axis: str = "a") -> NumberSeries:
+def only(found: tuple[FleetCourse, ...], axis: str = "a") -> FleetCourse:
     return next(c for c in found if c.axis == axis)
 
 

@@ -316,20 +316,20 @@ def test_page_asks_for_nothing_and_complains_of_nothing(browser: Browser, pages:
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Axes with and without a past; some stand out; long names, and a row that failed."""
 
-    def point(k: int, value: float, left: bool) -> FleetPoint:
-        return FleetPoint(f"log{k}", 1e6 * k, f"2026-0{k + 1}-01", value, 0.05, Band(3.8, 4.2, "own", 5), left)
+    def point(k: int, value: float) -> FleetPoint:
+        return FleetPoint(f"log{k}", 1e6 * k, f"2026-0{k + 1}-01", value, 0.05, Band(3.8, 4.2, "own", 5))
 
     courses = [
-        FleetCourse("an_axis_of_a_long_name" * 3, "m", "linear", "coulomb", 4.0, (point(0, 4.0, False),)),
-        FleetCourse("x", "m", "linear", "coulomb", 4.0, (point(0, 4.1, False), point(1, 9.0, True))),
-        FleetCourse("x", "m", "linear", "force_ripple.amplitude_N", float("nan"), (point(0, 4.1, False),)),
+        FleetCourse("an_axis_of_a_long_name" * 3, "m", "linear", "coulomb", 4.0, (point(0, 4.0),)),
+        FleetCourse("x", "m", "linear", "coulomb", 4.0, (point(0, 4.1), point(1, 9.0))),
+        FleetCourse("x", "m", "linear", "force_ripple.amplitude_N", float("nan"), (point(0, 4.1),)),
         FleetCourse(
             "y",
             "m",
             "linear",
             "coulomb",
             4.0,
-            tuple(point(k, 4.0 + 0.02 * k, False) for k in range(6)),
+            tuple(point(k, 4.0 + 0.02 * k) for k in range(6)),
             NumberTrend(0.1, 0.01, 150.0, 6),
         ),
     ]

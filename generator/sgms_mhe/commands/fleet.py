@@ -69,8 +69,8 @@ def _text(fleet: Fleet, page: Path) -> str:
     cost = f", {sum(fresh) / len(fresh):.1f} s each" if fresh else ""
     lines = [f"failed: row {d.row.number}, {d.row.name}: {d.failure}" for d in fleet.failures]
     lines += [
-        f"left its band: {course.axis}, {course.name}, {point.row.name}: "
-        f"{interval(point.number.value, point.number.std)}, band {point.band.low:.4g} to {point.band.high:.4g} of "
+        f"left its band: {course.axis}, {course.name}, {point.log}: "
+        f"{interval(point.value, point.std)}, band {point.band.low:.4g} to {point.band.high:.4g} of "
         f"{point.band.count} {'earlier logs' if point.band.origin == 'own' else 'other axes'}"
         for course in fleet.courses
         for point in course.points

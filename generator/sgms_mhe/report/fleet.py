@@ -16,6 +16,7 @@ from sgms_mhe.report.courses import Mark, drawn
 from sgms_mhe.report.pieces import tile
 from sgms_mhe.report.units import PrintedValue, quantity, split_name, use_units
 from sgms_mhe.report.words import SIGNS, base_words, capital, relative_change
+from sgms_mhe.support.numbers import SIGMAS
 
 SHOWN_OPEN: Final = 8
 """Axes whose plots are not folded away, where none has left its band."""
@@ -73,7 +74,7 @@ class FleetPoint:
         time: when the log was taken, in any unit; None: not known.
         when: the same in words.
         value, std: of the number.
-        left: whether the number left it.
+        row: of the table, by its number.
     """
 
     log: str
@@ -82,7 +83,15 @@ class FleetPoint:
     value: float
     std: float
     band: Band | None
-    left: bool
+    row: int = 0
+
+    @property
+    def left(self) -> bool:
+        """Return True if its interval lies outside of the band as a whole."""
+        reach = SIGMAS * self.std
+        return self.band is not None and not (
+            self.value - reach <= self.band.high and self.value + reach >= self.band.low
+        )
 
 
 @dataclass(frozen=True)

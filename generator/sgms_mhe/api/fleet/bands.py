@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from typing import Final, Literal
 
@@ -24,7 +23,7 @@ from scipy.stats import t as student
 
 from sgms_mhe.api.fleet.table import Row
 from sgms_mhe.api.fleet.work import FleetNumber, Result
-from sgms_mhe.report import Band, NumberTrend
+from sgms_mhe.report import Band, FleetCourse, FleetPoint, NumberTrend
 from sgms_mhe.support.numbers import SIGMAS
 
 LEVEL: Final = 0.99
@@ -39,65 +38,54 @@ _TO_DEVIATION: Final = 1.4826
 """Standard deviation over median absolute deviation, of a Gaussian."""
 
 
-@dataclass(frozen=True)
-class BandPoint:
-    """A number in one log: in band or not; `band` None: there is too little to compare it with."""
+def courses(results: Sequence[tuple[Row, Result]]) -> tuple[FleetCourse, ...]:
+    """Every number of every axis over its logs, the earliest first, in the table's order of axes.
 
-    row: Row
-    number: FleetNumber
-    band: Band | None
-
-    @property
-    def left(self) -> bool:
-        """Return True if its interval lies outside of the band as a whole."""
-        reach = SIGMAS * self.number.std
-        return self.band is not None and not (
-            self.number.value - reach <= self.band.high and self.number.value + reach >= self.band.low
-        )
-
-
-@dataclass(frozen=True)
-class NumberSeries:
-    """A number of an axis over its logs, the earliest first; those without a date last, in the table's order."""
-
-    machine: str
-    axis: str
-    name: str
-    points: tuple[BandPoint, ...]
-
-    @property
-    def trend(self) -> NumberTrend | None:
-        """How steadily it moves; None: it does not, or there are too few dated logs to say."""
-        dated = [(p.row.date.timestamp(), p.number) for p in self.points if p.row.date is not None]
-        times = np.array([time for time, _ in dated])
-        if len(times) < LEAST_TREND or np.ptp(times) == 0.0:
-            return None
-        days = (times - times[0]) / DAY_S
-        values = np.array([number.value for _, number in dated])
-        stated = _rms([number.std for _, number in dated])
-        centred = days - days.mean()
-        slope = float(centred @ values / (centred @ centred))
-        left = values - values.mean() - slope * centred
-        scatter = max(math.sqrt(float(left @ left) / (len(days) - 2)), stated)
-        span = float(days[-1])
-        change, std = slope * span, scatter * span / math.sqrt(float(centred @ centred))
-        sure = abs(change) > float(student.ppf(0.5 + 0.5 * LEVEL, len(days) - 2)) * std
-        return NumberTrend(change, std, span, len(days)) if sure and abs(change) > 2.0 * SIGMAS * stated else None
-
-
-def courses(results: Sequence[tuple[Row, Result]]) -> tuple[NumberSeries, ...]:
-    """Every number of every axis, in the table's order of axes."""
-    numbers: dict[tuple[str, str, str], list[tuple[Row, FleetNumber]]] = {}
+    Logs without a date stand last, in the table's order.
+    """
+    numbers: dict[tuple[str, str, str], list[tuple[Row, Result, FleetNumber]]] = {}
     for row, result in results:
         for number in result.numbers:
-            numbers.setdefault((_compared_with(row), row.axis, number.name), []).append((row, number))
-    ordered = {key: sorted(found, key=lambda pair: _when(pair[0])) for key, found in numbers.items()}
-    return tuple(
-        NumberSeries(
-            *key, tuple(BandPoint(row, number, _band(key, k, ordered)) for k, (row, number) in enumerate(found))
+            numbers.setdefault((_compared_with(row), row.axis, number.name), []).append((row, result, number))
+    for own in numbers.values():
+        own.sort(key=lambda found: _order(found[0]))
+    series = []
+    for key, own in numbers.items():
+        points = tuple(
+            FleetPoint(
+                log=row.name,
+                time=None if row.date is None else row.date.timestamp(),
+                when=row.when,
+                value=number.value,
+                std=number.std,
+                band=_band(key, k, numbers),
+                row=row.number,
+            )
+            for k, (row, _, number) in enumerate(own)
         )
-        for key, found in ordered.items()
-    )
+        _, last, newest = own[-1]
+        _, axis, name = key
+        series.append(FleetCourse(axis, last.machine, last.kind, name, newest.nominal, points, _trend(points)))
+    return tuple(series)
+
+
+def _trend(points: Sequence[FleetPoint]) -> NumberTrend | None:
+    """How steadily a number moves; None: it does not, or there are too few dated logs to say."""
+    dated = [point for point in points if point.time is not None]
+    times = np.array([point.time for point in dated], dtype=float)
+    if len(times) < LEAST_TREND or np.ptp(times) == 0.0:
+        return None
+    days = (times - times[0]) / DAY_S
+    values = np.array([point.value for point in dated])
+    stated = _rms([point.std for point in dated])
+    centred = days - days.mean()
+    slope = float(centred @ values / (centred @ centred))
+    residual = values - values.mean() - slope * centred
+    scatter = max(math.sqrt(float(residual @ residual) / (len(days) - 2)), stated)
+    span = float(days[-1])
+    change, std = slope * span, scatter * span / math.sqrt(float(centred @ centred))
+    sure = abs(change) > float(student.ppf(0.5 + 0.5 * LEVEL, len(days) - 2)) * std
+    return NumberTrend(change, std, span, len(days)) if sure and abs(change) > 2.0 * SIGMAS * stated else None
 
 
 def _compared_with(row: Row) -> str:
@@ -105,21 +93,23 @@ def _compared_with(row: Row) -> str:
     return row.machine or f"axis {row.axis}"
 
 
-def _when(row: Row) -> tuple[bool, datetime | int]:
+def _order(row: Row) -> tuple[bool, datetime | int]:
     return (row.date is None, row.number if row.date is None else row.date)
 
 
 def _band(
-    key: tuple[str, str, str], index: int, ordered: Mapping[tuple[str, str, str], Sequence[tuple[Row, FleetNumber]]]
+    key: tuple[str, str, str],
+    index: int,
+    ordered: Mapping[tuple[str, str, str], Sequence[tuple[Row, Result, FleetNumber]]],
 ) -> Band | None:
     found = ordered[key]
     if found[index][0].date is not None:
-        first = [number for row, number in found[:index] if row.date is not None][:FIRST]
+        first = [number for row, _, number in found[:index] if row.date is not None][:FIRST]
         if len(first) >= LEAST_OWN:
             values = np.array([number.value for number in first])
             return _interval(first, float(values.mean()), float(values.std(ddof=1)), "own")
     others = [
-        rows[-1][1]
+        rows[-1][2]
         for (machine, axis, name), rows in ordered.items()
         if (machine, name) == (key[0], key[2]) and axis != key[1]
     ]

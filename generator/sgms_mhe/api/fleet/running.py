@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.api.fleet.bands import NumberSeries, courses
+from sgms_mhe.api.fleet.bands import courses
 from sgms_mhe.api.fleet.table import Row, Verb, read_table
 from sgms_mhe.api.fleet.work import RESULT, Result, work
 from sgms_mhe.api.inputs import load
@@ -21,6 +21,7 @@ from sgms_mhe.configuration import override_log
 from sgms_mhe.host.provenance import digest_of_sources
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_names
+from sgms_mhe.report import FleetCourse
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.kept import run_kept
 from sgms_mhe.support.notebooks import Presentation, Shown
@@ -59,7 +60,7 @@ class Fleet(Shown):
     table: Path
     verb: Verb
     rows: tuple[Done, ...]
-    courses: tuple[NumberSeries, ...]
+    courses: tuple[FleetCourse, ...]
 
     def _shown(self) -> Presentation:
         return f"{self.verb} of {self.table}: {len(self.rows)} logs, {len(self.failures)} failed", (), ()

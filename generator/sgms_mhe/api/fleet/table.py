@@ -39,6 +39,15 @@ class Row:
     date: datetime | None
     mass: float | None
 
+    @property
+    def when(self) -> str:
+        """The date in words; empty where it is not known."""
+        if self.date is None:
+            return ""
+        return (
+            f"{self.date:%Y-%m-%d}" if (self.date.hour, self.date.minute) == (0, 0) else f"{self.date:%Y-%m-%dT%H:%M}"
+        )
+
 
 def read_table(path: Path, verb: Verb) -> tuple[Row, ...]:
     """Read a fleet's table. Commas, semicolons or tabs; paths are relative to the table.

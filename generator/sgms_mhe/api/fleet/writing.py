@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from sgms_mhe import __version__
-from sgms_mhe.api.fleet.bands import BandPoint, NumberSeries
 from sgms_mhe.api.fleet.running import Done, Fleet
-from sgms_mhe.api.fleet.work import Result, json_text
+from sgms_mhe.api.fleet.work import FleetNumber, json_text
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.model.effects import reported_name
-from sgms_mhe.report import FleetCourse, FleetLog, FleetPoint, write_fleet_report
+from sgms_mhe.report import FleetLog, FleetPoint, write_fleet_report
 from sgms_mhe.support.files import write_text
 
 _LINKED = ("report.html", "estimates.csv", "identification.json")
@@ -29,7 +28,7 @@ def write_fleet(fleet: Fleet, out: str | Path) -> Path:
     write_text(folder / "results.csv", results_csv(results))
     write_text(folder / "results.json", json_text(results))
     logs = fleet_logs(fleet, folder)
-    return write_fleet_report(fleet.verb, str(fleet.table), logs, [_course(c, fleet) for c in fleet.courses], folder)
+    return write_fleet_report(fleet.verb, str(fleet.table), logs, fleet.courses, folder)
 
 
 def fleet_logs(fleet: Fleet, folder: Path) -> list[FleetLog]:
@@ -39,12 +38,12 @@ def fleet_logs(fleet: Fleet, folder: Path) -> list[FleetLog]:
 
 def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
     """Content of results.json: every row of the table once, in its order."""
-    bands = {(point.row.number, course.name): point for course in fleet.courses for point in course.points}
+    bands = {(point.row, course.name): point for course in fleet.courses for point in course.points}
     return {
         "verb": fleet.verb,
         "version": __version__,
         "trends": [
-            {"axis": c.axis, "name": _name_with_unit(_newest(c, fleet).kind, c.name), **asdict(c.trend)}
+            {"axis": c.axis, "name": _name_with_unit(c.kind, c.name), **asdict(c.trend)}
             for c in fleet.courses
             if c.trend is not None
         ],
@@ -57,7 +56,7 @@ def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
                 **{key: getattr(done.result, key, None) for key in ("verdict", "standing", "summary")},
                 "notes": list(done.result.notes) if done.result else [],
                 "folder": _relative(done, folder),
-                "numbers": [_number(done.result.kind, bands[done.row.number, n.name]) for n in done.result.numbers]
+                "numbers": [_number(done.result.kind, n, bands[done.row.number, n.name]) for n in done.result.numbers]
                 if done.result
                 else [],
             }
@@ -66,8 +65,8 @@ def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
     }
 
 
-def _number(kind: Kind, point: BandPoint) -> dict[str, Any]:
-    number, band = point.number, point.band
+def _number(kind: Kind, number: FleetNumber, point: FleetPoint) -> dict[str, Any]:
+    band = point.band
     return {
         "name": _name_with_unit(kind, number.name),
         "value": number.value,
@@ -104,14 +103,7 @@ def _identity(done: Done, table: Path) -> dict[str, str]:
     row, beside = done.row, table.resolve().parent
     log = row.log.relative_to(beside) if row.log.is_relative_to(beside) else row.log
     machine = row.machine.removeprefix(f"{beside}/")
-    return {"name": row.name, "axis": row.axis, "date": _when(done), "machine": machine, "log": str(log)}
-
-
-def _when(done: Done) -> str:
-    date = done.row.date
-    if date is None:
-        return ""
-    return f"{date:%Y-%m-%d}" if (date.hour, date.minute) == (0, 0) else f"{date:%Y-%m-%dT%H:%M}"
+    return {"name": row.name, "axis": row.axis, "date": row.when, "machine": machine, "log": str(log)}
 
 
 def _relative(done: Done, folder: Path) -> str:
@@ -126,7 +118,7 @@ def _log(done: Done, folder: Path) -> FleetLog:
     return FleetLog(
         name=row.name,
         axis=row.axis,
-        date=_when(done),
+        date=row.when,
         machine=result.machine if result else row.machine,
         verdict=result.verdict if result else "",
         standing=result.standing if result else "nothing",
@@ -134,36 +126,4 @@ def _log(done: Done, folder: Path) -> FleetLog:
         failure=done.failure,
         link=link,
         notes=result.notes if result else (),
-    )
-
-
-def _newest(course: NumberSeries, fleet: Fleet) -> Result:
-    """Result of the newest log of a course."""
-    number = course.points[-1].row.number
-    return next(done.result for done in fleet.rows if done.row.number == number and done.result is not None)
-
-
-def _course(course: NumberSeries, fleet: Fleet) -> FleetCourse:
-    done = {d.row.number: d for d in fleet.rows}
-    last = _newest(course, fleet)
-    points = tuple(
-        FleetPoint(
-            log=p.row.name,
-            time=p.row.date.timestamp() if p.row.date is not None else None,
-            when=_when(done[p.row.number]),
-            value=p.number.value,
-            std=p.number.std,
-            band=p.band,
-            left=p.left,
-        )
-        for p in course.points
-    )
-    return FleetCourse(
-        axis=course.axis,
-        machine=last.machine,
-        kind=last.kind,
-        name=course.name,
-        nominal=course.points[-1].number.nominal,
-        points=points,
-        trend=course.trend,
     )
