@@ -12,40 +12,6 @@ if _os.name != "posix":
 
 __version__ = "0.2.0"
 
-__all__ = [
-    "BuildError",
-    "Diagnosis",
-    "Estimates",
-    "ExportedAxis",
-    "Identification",
-    "ImplausibleError",
-    "InputError",
-    "Log",
-    "LogWarning",
-    "Machine",
-    "MachineWarning",
-    "MotionPlan",
-    "Origin",
-    "Package",
-    "PredictedFriction",
-    "SimulatedRun",
-    "Tuned",
-    "diagnose",
-    "effects",
-    "estimate",
-    "export",
-    "find_origin",
-    "fleet",
-    "generate",
-    "identify",
-    "load",
-    "plan",
-    "predict",
-    "read_log",
-    "simulate",
-    "tune",
-]
-
 _MODULES = {
     "BuildError": "support.errors",
     "Diagnosis": "diagnosis.result",
@@ -80,6 +46,8 @@ _MODULES = {
     "tune": "api.tuning",
 }
 """Modules by the name that each holds; `__init__.pyi` says the same to type checkers."""
+
+__all__ = sorted(_MODULES)  # noqa: PLE0605  a list
 
 
 def __getattr__(name: str) -> object:

@@ -26,27 +26,11 @@ from sgms_mhe.commands.common import note
 from sgms_mhe.support.errors import BuildError, InputError, MachineWarning, speak_to_command_line
 from sgms_mhe.support.names import did_you_mean, name_distribution
 
-COMMANDS: Final = {
-    "start": "start",
-    "generate": "generate",
-    "export": "export",
-    "inspect": "inspect",
-    "simulate": "simulate",
-    "predict": "predict",
-    "estimate": "estimate",
-    "watch": "watch",
-    "compare": "compare",
-    "identify": "identify",
-    "tune": "tune",
-    "diagnose": "diagnose",
-    "fleet": "fleet",
-    "plan": "plan",
-    "check": "check",
-    "ci": "ci",
-    "effects": "effects",
-    "schema": "schema",
-}
-"""Commands by name and the module of `sgms_mhe.commands` whose `command` each is, in the order of --help."""
+COMMANDS: Final = (
+    "start generate export inspect simulate predict estimate watch compare identify tune diagnose fleet plan check ci "
+    "effects schema"
+).split()
+"""Modules of `sgms_mhe.commands` whose `command` each is, in the order of --help."""
 ENTRY_POINTS: Final = "sgms_mhe.commands"
 """Group of entry points by which installed distributions add commands; the names above stay the product's."""
 WORKBENCH: Final = ("bench", "bench-diagnosis", "compensate", "experiment", "target")
@@ -75,7 +59,7 @@ class Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a command's module."""
         if cmd_name in COMMANDS:
-            command: click.Command = importlib.import_module(f"sgms_mhe.commands.{COMMANDS[cmd_name]}").command
+            command: click.Command = importlib.import_module(f"sgms_mhe.commands.{cmd_name}").command
             return command
         entry = added_commands().get(cmd_name)
         return None if entry is None else _load(entry)
