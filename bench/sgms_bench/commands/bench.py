@@ -14,6 +14,7 @@ from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     from sgms_bench.benchmark.results import Benchmark, BenchVariant, Peer
+    from sgms_mhe.machine import Machine
 
 UPDATES = 500
 """The paper's motion with all that costs: its first second, a standstill and a crawl, costs half."""
@@ -21,7 +22,7 @@ UPDATES = 500
 
 @make_command("bench etel_xy --quick", "bench etel_xy --out build/benchmark", "bench etel_xy --json")
 def command(
-    machine: str,
+    machine: Machine,
     *,
     trajectory: Annotated[str, Option("NAME")] = "paper",
     updates: Annotated[int, Option("N", 1, 100_000)] = UPDATES,
@@ -47,9 +48,6 @@ def command(
         out: folder for the figures, as PNG and SVG, and the numbers, as JSON.
     """
     flags = split_flags(cflags)
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
     if out is not None:
         check_output_folder(out)
 
@@ -57,9 +55,9 @@ def command(
     from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
     flags = DEFAULT_FLAGS if flags is None else flags
-    with progress_bar(f"bench {resolved.name}") as progress:
+    with progress_bar(f"bench {machine.name}") as progress:
         benchmark = run_benchmark(
-            resolved, trajectory=trajectory, updates=updates, quick=quick, flags=flags, progress=progress
+            machine, trajectory=trajectory, updates=updates, quick=quick, flags=flags, progress=progress
         )
     content = json_text(asdict(benchmark))
     if out is not None:
@@ -69,10 +67,10 @@ def command(
 
         make_folder(out)
         write_text(out / "benchmark.json", content + "\n")
-        for name, figure in benchmark_figures(benchmark, resolved.name).items():
+        for name, figure in benchmark_figures(benchmark, machine.name).items():
             for suffix in (".png", ".svg"):
                 save_figure(out / f"{name}{suffix}", figure)
-    show(content if json else _text(benchmark, resolved.name, shlex.join(flags)))
+    show(content if json else _text(benchmark, machine.name, shlex.join(flags)))
 
 
 def _text(benchmark: Benchmark, machine: str, flags: str) -> str:

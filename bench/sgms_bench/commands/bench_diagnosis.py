@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import click
 
 from sgms_mhe.commands.common import check_output_folder, json_text, progress_bar, show
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.options import Option
+
+if TYPE_CHECKING:
+    from sgms_mhe.machine import Machine
 
 LARGEST: Final = 0.8
 """Size of a hidden cause, over the Coulomb level."""
@@ -29,7 +32,7 @@ def _read_sizes(text: str) -> tuple[float, ...]:
 
 @make_command("bench-diagnosis etel_xy --out build/benchmark-diagnosis --draws 40")
 def command(
-    machine: str,
+    machine: Machine,
     *,
     out: Annotated[Path, Option("DIR")],
     draws: Annotated[int, Option("N", 1, 100_000)] = 600,
@@ -61,9 +64,6 @@ def command(
         sizes: hide every cause alone in these sizes, peak force over f_C, instead of draws.
     """
     wanted = () if sizes is None else _read_sizes(sizes)
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
     check_output_folder(out)
 
     from sgms_bench.diagnosis.planned import run_planned
@@ -72,15 +72,15 @@ def command(
     from sgms_bench.diagnosis.small import run_small
 
     if planned:
-        with progress_bar(f"planned moves on {resolved.name}") as progress:
-            table = run_planned(resolved, out, jobs=jobs, progress=progress)
+        with progress_bar(f"planned moves on {machine.name}") as progress:
+            table = run_planned(machine, out, jobs=jobs, progress=progress)
         show(json_text(table.as_dict()) if json else str(table))
         return
     if wanted:
-        with progress_bar(f"causes of given size on {resolved.name}") as progress:
-            tables = run_small(resolved, out, wanted, draws=draws, seed=seed, jobs=jobs, progress=progress)
+        with progress_bar(f"causes of given size on {machine.name}") as progress:
+            tables = run_small(machine, out, wanted, draws=draws, seed=seed, jobs=jobs, progress=progress)
         show(json_text([table.as_dict() for table in tables]) if json else "\n".join(map(str, tables)))
         return
-    with progress_bar(f"diagnoses on {resolved.name}") as progress:
-        summary = run_diagnosis_benchmark(resolved, out, draws=draws, seed=seed, jobs=jobs, progress=progress)
+    with progress_bar(f"diagnoses on {machine.name}") as progress:
+        summary = run_diagnosis_benchmark(machine, out, draws=draws, seed=seed, jobs=jobs, progress=progress)
     show(json_text(summary_json(summary)) if json else summary_text(summary))

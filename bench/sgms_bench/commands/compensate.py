@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from sgms_mhe.commands.common import check_output_folder, json_text, note, progress_bar, show
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.options import Option
+
+if TYPE_CHECKING:
+    from sgms_mhe.machine import Machine
 
 
 @make_command(
@@ -15,7 +18,7 @@ from sgms_mhe.support.options import Option
     "compensate etel_xy_compensation --trajectory circle --duration 5 --json",
 )
 def command(
-    machine: str,
+    machine: Machine,
     *,
     out: Annotated[Path | None, Option("DIR")] = None,
     trajectory: tuple[Literal["paper", "step_and_settle", "circle"], ...] = (),
@@ -41,17 +44,14 @@ def command(
         seed: seed of the noise.
         no_set_point: the drive does not tell the estimator where it is going.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
     if out is not None:
         check_output_folder(out)
 
     from sgms_bench.compensation.running import SCENARIOS, compare_compensations
 
-    with progress_bar(f"compensate {resolved.name}") as progress:
+    with progress_bar(f"compensate {machine.name}") as progress:
         comparison = compare_compensations(
-            resolved,
+            machine,
             trajectory or SCENARIOS,
             duration_s=duration_s,
             window_m=1e-9 * window,

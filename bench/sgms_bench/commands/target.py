@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from sgms_bench.commands.common import split_flags
 from sgms_mhe.commands.common import json_text, note, progress_bar, recorded_log, show, table_text
-from sgms_mhe.commands.log_options import load_for_log
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.options import Option
 
@@ -17,14 +15,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from sgms_bench.target.trial import HostComparison, TargetTrial
+    from sgms_mhe.machine import Machine
 
 
 @make_command("target etel_xy", "target etel_xy axis.csv --core riscv32 --json")
 def command(
-    machine: str,
+    machine: Machine,
     log: Path | None = None,
     *,
-    log_table: Mapping[str, Any],
     core: Literal["cortex_m7", "riscv32"] = "cortex_m7",
     trajectory: Annotated[str, Option("NAME")] = "mixed",
     updates: Annotated[int, Option("N", 1, 100_000)] = 500,
@@ -52,7 +50,6 @@ def command(
         cflags: compiler flags; None: -std=c99 -O2 -ffp-contract=off.
     """
     own_flags = split_flags(cflags)
-    resolved = load_for_log(machine, log_table)
 
     from sgms_bench.motions import simulated_log
     from sgms_bench.target.trial import compare_with_host, run_trial, single_precision
@@ -61,16 +58,16 @@ def command(
     from sgms_mhe.host.targets import TARGET_FLAGS, TARGETS
 
     if log is None:
-        recorded = simulated_log(resolved, trajectory, updates)
+        recorded = simulated_log(machine, trajectory, updates)
     else:
-        recorded = recorded_log(log, resolved)
-        check_length(recorded, resolved)
-    if resolved.code.precision != "single":
-        note(f"{resolved.name}: {resolved.code.precision} precision, taken as single for this core")
-    variant = single_precision(resolved)
+        recorded = recorded_log(log, machine)
+        check_length(recorded, machine)
+    if machine.code.precision != "single":
+        note(f"{machine.name}: {machine.code.precision} precision, taken as single for this core")
+    variant = single_precision(machine)
     package = emit_package(variant, selftest=False)
     flags = TARGET_FLAGS if own_flags is None else own_flags
-    with progress_bar(f"target {resolved.name}") as progress:
+    with progress_bar(f"target {machine.name}") as progress:
         trial = run_trial(variant, recorded, TARGETS[core], package=package, flags=flags, progress=progress)
     host = compare_with_host(trial, recorded, package=package)
     show(json_text(_content(trial, host)) if json else _text(trial, host, flags))

@@ -16,20 +16,16 @@ LONGEST_LIST: Final = 8
 
 
 @make_command("check machines/etel_xy.toml")
-def command(machine: str, *, json: bool = False) -> None:
+def command(machine: Machine, *, json: bool = False) -> None:
     """Check MACHINE and print it resolved.
 
     Resolved are `extends`, defaults, and what follows from them. A machine that passes can be generated.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
-
     from sgms_mhe.emission.package import emit_package
 
-    with progress_bar(f"check {resolved.name}"):
-        package = emit_package(resolved, within_budget=True)  # what cannot be emitted is refused here
-    show(json_text(_content(resolved)) if json else _text(resolved, package))
+    with progress_bar(f"check {machine.name}"):
+        package = emit_package(machine, within_budget=True)  # what cannot be emitted is refused here
+    show(json_text(_content(machine)) if json else _text(machine, package))
 
 
 def _content(machine: Machine) -> dict[str, Any]:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log
 from sgms_mhe.commands.options import make_command
 
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.comparison import Comparison
+    from sgms_mhe.machine import Machine
 
 
 @make_command("compare etel_xy axis.csv")
-def command(machine: str, log: Path, *, log_table: Mapping[str, Any], json: bool = False) -> bool:
+def command(machine: Machine, log: Path, *, json: bool = False) -> bool:
     """Compare the generated C with the reference solver.
 
     Both run on the same signals, and are compared update by update.
@@ -29,16 +28,14 @@ def command(machine: str, log: Path, *, log_table: Mapping[str, Any], json: bool
 
     Exit code 1 where the two are further apart.
     """
-    resolved = load_for_log(machine, log_table)
-
     from sgms_mhe.api.estimation import check_length
     from sgms_mhe.evaluation.comparison import compare_signals
     from sgms_mhe.signals.chain import signals_from_log
 
-    recorded = common.recorded_log(log, resolved)
-    check_length(recorded, resolved)
-    with common.progress_bar(f"compare {resolved.name}") as progress:
-        comparison = compare_signals(resolved, signals_from_log(recorded, resolved), progress=progress)
+    recorded = common.recorded_log(log, machine)
+    check_length(recorded, machine)
+    with common.progress_bar(f"compare {machine.name}") as progress:
+        comparison = compare_signals(machine, signals_from_log(recorded, machine), progress=progress)
     common.show(common.json_text(_content(comparison)) if json else _text(comparison))
     return not comparison.agrees
 

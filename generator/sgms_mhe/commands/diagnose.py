@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.decisions import trace_decisions
 from sgms_mhe.support.errors import ImplausibleError, InputError
@@ -32,10 +31,9 @@ if TYPE_CHECKING:
     of="diagnosis.diagnose",
 )
 def command(
-    machine: str,
+    machine: Machine,
     log: tuple[Path, ...],
     *,
-    log_table: Mapping[str, Any],
     out: Annotated[Path | None, Option("DIR")] = None,
     unseen: Annotated[Path | None, Option("LOG")] = None,
     start_s: Annotated[float, Option("S", 0.0, 1e8, "--from")] = 0.0,
@@ -62,9 +60,8 @@ def command(
         start_s: use the first log from here on [s since its start] as a log of its own, whose time starts here.
         end_s: and until here [s].
     """
-    resolved = load_for_log(machine, log_table)
     common.note_broken_effects()
-    folder = out or Path(f"{resolved.name}_diagnosis")
+    folder = out or Path(f"{machine.name}_diagnosis")
     common.check_output_folder(folder)
 
     from sgms_mhe.api.inputs import read_log
@@ -72,16 +69,16 @@ def command(
     from sgms_mhe.logfiles.plausibility import check_plausible
     from sgms_mhe.report import attempt_report, closed_loop_gain
 
-    recorded = read_log(log[0], resolved, start_s=start_s, end_s=end_s, note=common.note)
+    recorded = read_log(log[0], machine, start_s=start_s, end_s=end_s, note=common.note)
     try:
-        check_plausible(recorded, resolved)
+        check_plausible(recorded, machine)
     except ImplausibleError as error:
-        _say_implausible(error, resolved, recorded, folder, json)
+        _say_implausible(error, machine, recorded, folder, json)
         return True
-    others = [common.recorded_log(other, resolved) for other in log[1:]]
-    another = common.recorded_log(unseen, resolved) if unseen else None
+    others = [common.recorded_log(other, machine) for other in log[1:]]
+    another = common.recorded_log(unseen, machine) if unseen else None
     with trace_decisions(trace), common.steps_bar() as progress:
-        found = diagnose(resolved, recorded, others=others, progress=progress, held_out_s=held_out_s)
+        found = diagnose(machine, recorded, others=others, progress=progress, held_out_s=held_out_s)
     found = replace(found, standalone=standalone)
     write_diagnosis(found, folder)
     gain, refused = None, None
@@ -89,11 +86,11 @@ def command(
         try:
             with common.step_notes() as progress:
                 progress("estimators of the machine and of the extended machine on the unseen log")
-                gain = closed_loop_gain(resolved, found.extended, another)
+                gain = closed_loop_gain(machine, found.extended, another)
         except InputError as error:  # said after the verdict, which does not hang on this log
             refused = error
     report = attempt_report(found, folder, partial(click.echo, err=True), estimator=gain)
-    units = resolved.plant.units
+    units = machine.plant.units
     if json:
         common.show(common.json_text(found.to_json() | ({} if gain is None else {"unseen": units.keyed(_gain(gain))})))
     else:

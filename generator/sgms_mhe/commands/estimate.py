@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.libraries import optional_library
 from sgms_mhe.support.options import Option
@@ -27,10 +25,9 @@ PRIOR_FITS: Final = 3.0
     of="estimation.estimate",
 )
 def command(
-    machine: str,
+    machine: Machine,
     log: Path,
     *,
-    log_table: Mapping[str, Any],
     out: Path,
     solver: Any,
     plot: Annotated[Path | None, Option("DIR")] = None,
@@ -45,7 +42,6 @@ def command(
         out: CSV to write: one row per update.
         plot: also draw friction.png and parameters.png.
     """
-    resolved = load_for_log(machine, log_table)
     common.check_output_file(out)
     if plot is not None:
         common.check_output_folder(plot)
@@ -54,15 +50,15 @@ def command(
     from sgms_mhe.api import estimation
     from sgms_mhe.signals.estimates import write_estimates
 
-    with common.progress_bar(f"estimate {resolved.name}") as progress:
-        estimates = estimation.estimate(resolved, log, solver=solver, progress=progress, note=common.note)
+    with common.progress_bar(f"estimate {machine.name}") as progress:
+        estimates = estimation.estimate(machine, log, solver=solver, progress=progress, note=common.note)
     write_estimates(out, estimates)
     if plot is not None:
-        _draw(resolved, estimates, plot)
-    note_wrong_noise(resolved, estimates)
-    note_wrong_priors(resolved, estimates)
-    summary = summarise(resolved, estimates, solver)
-    common.show(common.json_text(resolved.plant.units.keyed(summary)) if json else summary_text(resolved, summary), out)
+        _draw(machine, estimates, plot)
+    note_wrong_noise(machine, estimates)
+    note_wrong_priors(machine, estimates)
+    summary = summarise(machine, estimates, solver)
+    common.show(common.json_text(machine.plant.units.keyed(summary)) if json else summary_text(machine, summary), out)
 
 
 def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:

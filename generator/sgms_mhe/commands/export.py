@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from sgms_mhe.commands import common
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.options import Option
+
+if TYPE_CHECKING:
+    from sgms_mhe.machine import Machine
 
 
 @make_command(
@@ -16,7 +19,7 @@ from sgms_mhe.support.options import Option
     of="exporting.export",
 )
 def command(
-    machine: str,
+    machine: Machine,
     *,
     to: Annotated[str, Option("FORM")],
     out: Path,
@@ -32,22 +35,20 @@ def command(
         log: log along which the error of a simpler form, and each force that it loses, is measured.
     """
     from sgms_mhe.api import exporting
-    from sgms_mhe.configuration import load_machine
 
-    resolved = load_machine(machine)
     common.check_output_file(out, exporting.find_form(to).suffixes)
-    with common.progress_bar(f"export {resolved.name}"):
-        exported = exporting.export(resolved, to, out, log=log, note=common.note)
+    with common.progress_bar(f"export {machine.name}"):
+        exported = exporting.export(machine, to, out, log=log, note=common.note)
     if exported.missing is not None:
         common.note(f"{out}: sources without a binary: {exported.missing}")
-    units, error = resolved.plant.units, exported.error
+    units, error = machine.plant.units, exported.error
     if json:
         measured = None if error is None else error.content
         sentences = {"holds": exported.holds, "lost": exported.lost}
-        result = {"machine": resolved.name, "form": to, "file": str(out), **sentences, "error": measured}
+        result = {"machine": machine.name, "form": to, "file": str(out), **sentences, "error": measured}
         common.show(common.json_text(units.keyed(result)), out)
         return
-    lines = [f"{out}: {to} of {resolved.name}", *(f"holds: {sentence}" for sentence in exported.holds)]
+    lines = [f"{out}: {to} of {machine.name}", *(f"holds: {sentence}" for sentence in exported.holds)]
     lines += [f"lost: {sentence}" for sentence in exported.lost]
     if error is not None:
         lines.append(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.options import Option
+
+if TYPE_CHECKING:
+    from sgms_mhe.machine import Machine
 
 SHOWN = 12
 """Names of columns that are not read, that the text repeats."""
@@ -20,7 +22,7 @@ def command(
     log: Path,
     *,
     log_table: Mapping[str, Any],
-    machine: Annotated[str | None, Option("MACHINE")] = None,
+    machine: Annotated[Machine | None, Option("MACHINE")] = None,
     json: bool = False,
 ) -> bool:
     """Show how LOG is read.
@@ -32,13 +34,11 @@ def command(
     Args:
         machine: machine file whose [log] and whose axis LOG is read for.
     """
-    resolved = None if machine is None else load_for_log(machine, log_table)
-
     from sgms_mhe.logfiles.inspection import inspect_log
     from sgms_mhe.machine import log_mapping
 
-    mapping = log_mapping(log_table, "[log]") if resolved is None and log_table else None
-    found = inspect_log(log, resolved, mapping)
+    mapping = log_mapping(log_table, "[log]") if machine is None and log_table else None
+    found = inspect_log(log, machine, mapping)
     content = found.as_dict()
     common.show(common.json_text(content) if json else _text(content))
     return bool(found.problems)

@@ -19,7 +19,7 @@ from typing import Any, Final
 import click
 
 from sgms_mhe.commands.completion import COMPLETIONS
-from sgms_mhe.commands.log_options import log_table
+from sgms_mhe.commands.log_options import load_for_log, log_table
 from sgms_mhe.support.options import Option
 
 UNIT: Final = re.compile(r"_(s|m|N|Hz)$")
@@ -83,8 +83,9 @@ Function = Callable[..., bool | int | None]
 def make_command(*examples: str, of: str = "") -> Callable[[Function], click.Command]:
     """Make a command of a function.
 
-    An option that is not given does not reach the function: its own default holds. A parameter `log_table` is the
-    content of a table `[log]`, out of the options by which every command is told what a log leaves open.
+    An option that is not given does not reach the function: its own default holds. A machine is loaded. With an
+    argument `log`, or a parameter `log_table`, the command also has the options that say what a log leaves open; they
+    are laid over the machine's table `[log]`, and are the value of `log_table`.
 
     Args:
         examples: calls, for the end of the help.
@@ -102,14 +103,17 @@ class TypedCommand(click.Command):
         epilog = "\b\nExample:\n" + "\n".join(f"  sgms-mhe {line}" for line in examples)
         super().__init__(None, callback=self._call, short_help=short, epilog=epilog)
         self._function, self._of = function, of
-        self._log_options = inspect.signature(log_table).parameters if "log_table" in function.__annotations__ else {}
+        self._own = inspect.signature(function).parameters
+        log = self._own.get("log")
+        reads_log = "log_table" in self._own or (log is not None and log.kind is not log.KEYWORD_ONLY)
+        self._log_options = inspect.signature(log_table).parameters if reads_log else {}
         del self.params, self.help
 
     def __getattr__(self, name: str) -> Any:
         if name not in ("params", "help"):
             raise AttributeError(name)
         (first, *rest), texts = _parse_doc(inspect.getdoc(self._function) or "")
-        own = inspect.signature(self._function).parameters.values()
+        own = self._own.values()
         parameters = {p.name: p for p in own if p.name != "log_table" and p.kind != p.VAR_KEYWORD}
         if self._of:
             (_, *between), more, options = _read_function(*self._of.split("."))
@@ -122,8 +126,12 @@ class TypedCommand(click.Command):
 
     def _call(self, **values: Any) -> None:
         given = {name: value for name, value in values.items() if value not in (None, (), {})}
-        if self._log_options:
-            given["log_table"] = log_table(**{name: given.pop(name) for name in self._log_options if name in given})
+        said = {name: given.pop(name) for name in self._log_options if name in given}
+        table = log_table(**said) if said else {}
+        if "log_table" in self._own:
+            given["log_table"] = table
+        if "machine" in given:
+            given["machine"] = load_for_log(given["machine"], table)
         if code := self._function(**given):
             click.get_current_context().exit(code)
 
@@ -207,5 +215,5 @@ def _click_type(kind: str, form: Option) -> Any:
     if kind == "int":
         least, most = (None if end is None else int(end) for end in (form.least, form.most))
         return click.IntRange(least, most)
-    plain = {"float": Number(form), "str": click.STRING, "bool": click.BOOL}
+    plain = {"float": Number(form), "str": click.STRING, "Machine": click.STRING, "bool": click.BOOL}
     return plain.get(kind, click.Path(path_type=Path))

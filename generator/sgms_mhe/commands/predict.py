@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.options import Option
+
+if TYPE_CHECKING:
+    from sgms_mhe.machine import Machine
 
 
 @make_command(
@@ -21,10 +22,9 @@ from sgms_mhe.support.options import Option
     of="estimation.predict",
 )
 def command(
-    machine: str,
+    machine: Machine,
     log: Path,
     *,
-    log_table: Mapping[str, Any],
     out: Path,
     start_s: Annotated[float, Option("S", 0.0, 1e8, "--from")] = 0.0,
     end_s: Annotated[float, Option("S", 0.0, 1e8, "--to")] = inf,
@@ -54,7 +54,6 @@ def command(
     """
     if within_m is not None and not find_origin:
         raise InputError("command line", "--within", within_m, "beside --find-origin")
-    resolved = load_for_log(machine, log_table)
     common.check_output_file(out)
 
     from sgms_mhe.configuration import override_machine
@@ -62,24 +61,24 @@ def command(
     from sgms_mhe.diagnosis.record_residual import measure_residual
     from sgms_mhe.evaluation.prediction import force_error, predict_log, write_prediction
 
-    recorded = common.recorded_log(log, resolved)
+    recorded = common.recorded_log(log, machine)
     if lowpass_Hz is not None:
-        resolved = override_machine(resolved, {"sampling": {"velocity_cutoff": lowpass_Hz}})
-    with common.progress_bar(f"predict {resolved.name}"):
-        found = origin.find_origin(resolved, recorded, within_m) if find_origin else None
+        machine = override_machine(machine, {"sampling": {"velocity_cutoff": lowpass_Hz}})
+    with common.progress_bar(f"predict {machine.name}"):
+        found = origin.find_origin(machine, recorded, within_m) if find_origin else None
         if found is not None and found.position_m is not None:
             recorded = replace(recorded, position_m=recorded.position_m - found.position_m)
-        prediction = predict_log(resolved, recorded)
+        prediction = predict_log(machine, recorded)
         try:
-            measured = measure_residual(resolved, recorded)
+            measured = measure_residual(machine, recorded)
         except InputError:  # too few samples for a diagnosis
             measured = None
-    units, undetermined = resolved.plant.units, found is not None and not found.is_determined
+    units, undetermined = machine.plant.units, found is not None and not found.is_determined
     error = force_error(prediction, start_s=start_s, end_s=end_s, factor=decimate)
     write_prediction(out, prediction)
     if json:
         result = {
-            "machine": resolved.name,
+            "machine": machine.name,
             "samples": len(prediction.time_s),
             "valid": error.rows,
             "residual_rms_N": error.residual_rms_N,

@@ -9,6 +9,7 @@ from sgms_mhe.commands import common
 from sgms_mhe.commands.options import make_command
 
 if TYPE_CHECKING:
+    from sgms_mhe.machine import Machine
     from sgms_mhe.signals.logs import Log
 
 
@@ -18,22 +19,19 @@ if TYPE_CHECKING:
     "simulate etel_xy --out next.csv --trajectory plan.csv",
     of="simulation.simulate",
 )
-def command(machine: str, *, out: Path, **options: Any) -> None:
+def command(machine: Machine, *, out: Path, **options: Any) -> None:
     """Log a simulated axis in closed loop.
 
     Args:
         out: the log to write: .csv or .npz.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
     common.check_output_file(out, (".csv", ".npz"))
 
     from sgms_mhe.api import simulation
     from sgms_mhe.signals.logs import write_log
 
-    with common.progress_bar(f"simulate {resolved.name}"):
-        run = simulation.simulate(resolved, **options)
+    with common.progress_bar(f"simulate {machine.name}"):
+        run = simulation.simulate(machine, **options)
     write_log(out, run.log)
     common.show(f"{out}: {describe(run.log)}", out)
 

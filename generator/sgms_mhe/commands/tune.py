@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.libraries import optional_library
 from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.tuning import Tuned
+    from sgms_mhe.machine import Machine
 
 
 @make_command("tune etel_xy log.csv --out tuned.toml", "tune my_axis.toml log.csv --plot trade_off.png")
 def command(
-    machine: str,
+    machine: Machine,
     log: Path,
     *,
-    log_table: Mapping[str, Any],
     out: Annotated[Path | None, Option("MACHINE.toml")] = None,
     standalone: bool = False,
     plot: Annotated[Path | None, Option("PNG")] = None,
@@ -37,7 +35,6 @@ def command(
         out: a machine file that extends MACHINE by the weights.
         plot: draw the gain of every weight.
     """
-    resolved = load_for_log(machine, log_table)
     if out is not None:
         common.check_output_file(out, (".toml",))
     if plot is not None:
@@ -49,7 +46,7 @@ def command(
     from sgms_mhe.support.files import write_text
 
     with common.step_notes() as progress:
-        tuned = tune(resolved, common.recorded_log(log, resolved), progress)
+        tuned = tune(machine, common.recorded_log(log, machine), progress)
     if out is not None:
         write_text(out, _toml(tuned, out, log.name, standalone))
     if plot is not None:

@@ -6,7 +6,6 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Self
@@ -14,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 import click
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.log_options import load_for_log
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.options import Option
@@ -67,10 +65,9 @@ class Interrupt:
     "watch etel_xy - < /dev/ttyACM0",
 )
 def command(
-    machine: str,
+    machine: Machine,
     log: Path,
     *,
-    log_table: Mapping[str, Any],
     follow: bool = False,
     speed: Annotated[float, Option("X", 1e-3, 1e6, infinite="max")] = 1.0,
     idle_s: Annotated[float | None, Option(least=0.1, most=1e6)] = None,
@@ -93,7 +90,6 @@ def command(
         page: page to write, anew every 2 s.
         out: CSV to write, as estimate does: rows are appended as they come.
     """
-    resolved = load_for_log(machine, log_table)
     for path, suffixes in ((out, ()), (page, (".html", ".htm"))):
         if path is not None:
             common.check_output_file(path, suffixes)
@@ -109,8 +105,8 @@ def command(
 
     with Interrupt() as interrupt:  # before anything takes time: an exception in the midst of an import may be lost
         clock = HostClock()
-        source = _source(log, resolved, math.inf if idle_s is None else idle_s, speed, clock, follow=follow)
-        watch, name = Watch(resolved), str(log) if str(log) != "-" else "standard input"
+        source = _source(log, machine, math.inf if idle_s is None else idle_s, speed, clock, follow=follow)
+        watch, name = Watch(machine), str(log) if str(log) != "-" else "standard input"
         shown = None if page is None else Page(page, name, clock.now)
         rows = None if out is None else GrowingEstimates(out)
         error = _run(source, watch, interrupt, WatchLines(every_s), shown, rows, judged=not growing)
@@ -121,7 +117,7 @@ def command(
         if watch.course.updates:
             remarks = [*watch.doubts, *source.remarks, *([str(error)] if error is not None else [])]
             summary = {"log": name, "ended": ended, "remarks": remarks} | watch.course.summary()
-            text = common.json_text(resolved.plant.units.keyed(summary)) if json else _text(resolved, summary)
+            text = common.json_text(machine.plant.units.keyed(summary)) if json else _text(machine, summary)
             common.show(text, *([] if out is None else [out]))
             if shown is not None:
                 shown.end(watch.course, ended, tuple(remarks))
