@@ -6,6 +6,7 @@ classes of their results, errors and warnings. `help(sgms_mhe.estimate)` has arg
 
 import os as _os
 from importlib import import_module as _import_module
+from pathlib import Path as _Path
 
 if _os.name != "posix":
     raise ImportError("sgms-mhe runs on Linux and macOS; on Windows in WSL, which is Linux (wsl --install)")
@@ -13,47 +14,19 @@ if _os.name != "posix":
 __version__ = "0.2.0"
 
 _MODULES = {
-    "BuildError": "support.errors",
-    "Diagnosis": "diagnosis.result",
-    "Estimates": "signals.estimates",
-    "ExportedAxis": "api.exporting",
-    "Identification": "identification.result",
-    "ImplausibleError": "support.errors",
-    "InputError": "support.errors",
-    "Log": "signals.logs",
-    "LogWarning": "support.errors",
-    "Machine": "machine.resolved",
-    "MachineWarning": "support.errors",
-    "MotionPlan": "diagnosis.plan",
-    "Origin": "diagnosis.other_record",
-    "Package": "emission.package",
-    "PredictedFriction": "evaluation.prediction",
-    "SimulatedRun": "plant.simulation",
-    "Tuned": "evaluation.tuning",
-    "diagnose": "api.diagnosis",
-    "effects": "api.experiments",
-    "estimate": "api.estimation",
-    "export": "api.exporting",
-    "find_origin": "api.estimation",
-    "fleet": "api.fleets",
-    "generate": "api.packages",
-    "identify": "api.identification",
-    "load": "api.inputs",
-    "plan": "api.experiments",
-    "predict": "api.estimation",
-    "read_log": "api.inputs",
-    "simulate": "api.simulation",
-    "tune": "api.tuning",
+    line.split()[-1]: line.split()[1]
+    for line in _Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8").splitlines()
+    if line.startswith("from ")
 }
-"""Modules by the name that each holds; `__init__.pyi` says the same to type checkers."""
+"""Modules by the name that each holds, as `__init__.pyi` tells type checkers: `from MODULE import NAME as NAME`."""
 
-__all__ = sorted(_MODULES)  # noqa: PLE0605  a list
+__all__ = sorted(_MODULES)  # noqa: PLE0605  it is a list
 
 
 def __getattr__(name: str) -> object:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(_import_module(f"{__name__}.{_MODULES[name]}"), name)
+    return getattr(_import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:
