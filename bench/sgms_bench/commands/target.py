@@ -61,7 +61,7 @@ def command(
         recorded = simulated_log(machine, trajectory, updates)
     else:
         recorded = recorded_log(log, machine)
-        check_length(recorded, machine)
+        check_length(len(recorded), recorded.source, machine)
     if machine.code.precision != "single":
         note(f"{machine.name}: {machine.code.precision} precision, taken as single for this core")
     variant = single_precision(machine)

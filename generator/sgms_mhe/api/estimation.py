@@ -53,7 +53,7 @@ def estimate(
         raise InputError("estimate", "solver", solver, f"one of {', '.join(SOLVERS)}")
     axis = load(machine)
     recorded = recorded_log(log, axis, note=note)
-    check_length(recorded, axis)
+    check_length(len(recorded), recorded.source, axis)
     if solver in ("c", "ekf"):
         chosen = override_machine(axis, {"estimator": {"kind": "ekf"}}) if solver == "ekf" else axis
         estimator = CompiledEstimator(chosen)
@@ -124,12 +124,12 @@ def has_own_signals(log: Log) -> bool:
     return any(column is not None for column in (log.velocity_m_s, log.acceleration_m_s2, log.friction_N))
 
 
-def check_length(log: Log, machine: Machine) -> None:
+def check_length(samples: int, source: str | Path, machine: Machine) -> None:
     """Refuse a log that ends before the first update.
 
     Raises:
         InputError: names the log, its rows and how many it takes.
     """
     least = machine.sampling.samples_per_update + 1
-    if len(log) < least:
-        raise InputError(log.source, "rows", len(log), f"at least {least}, what one update of {machine.name} takes")
+    if samples < least:
+        raise InputError(source, "rows", samples, f"at least {least}, what one update of {machine.name} takes")

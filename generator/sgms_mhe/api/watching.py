@@ -9,7 +9,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import BinaryIO, Final, Protocol
+from typing import BinaryIO, Final
 
 import numpy as np
 
@@ -49,18 +49,8 @@ LEAST_STRETCH_S: Final = 5.0
 """Of the last stretch, where there were others."""
 
 
-class ReplayClock(Protocol):
-    """Time as it passes."""
-
-    def now(self) -> float:
-        """Seconds since some moment."""
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass, or less of it."""
-
-
 class HostClock:
-    """Clock of this host."""
+    """Time as it passes on this host."""
 
     def now(self) -> float:
         """Seconds since some moment; they never go back."""
@@ -109,9 +99,7 @@ class Replay(SampleSource):
         InputError: as `read_log`.
     """
 
-    def __init__(
-        self, path: Path, machine: Machine, speed: float, clock: ReplayClock, note: Note | None = None
-    ) -> None:
+    def __init__(self, path: Path, machine: Machine, speed: float, clock: HostClock, note: Note | None = None) -> None:
         super().__init__()
         log = recorded_log(path, machine, note=note)
         self._log = log
@@ -146,7 +134,7 @@ class Replay(SampleSource):
 class _Growing(SampleSource):
     """A text that comes in pieces: how it is read, and when nobody waits for more of it."""
 
-    def __init__(self, path: Path, machine: Machine, idle_s: float, clock: ReplayClock) -> None:
+    def __init__(self, path: Path, machine: Machine, idle_s: float, clock: HostClock) -> None:
         super().__init__()
         self._text, self._clock = FollowedText(path, machine), clock
         self._idle_s = idle_s
@@ -191,7 +179,7 @@ class Followed(_Growing):
         InputError: the file cannot be read, or is none that grows line by line.
     """
 
-    def __init__(self, path: Path, machine: Machine, idle_s: float, clock: ReplayClock) -> None:
+    def __init__(self, path: Path, machine: Machine, idle_s: float, clock: HostClock) -> None:
         if path.suffix.lower() in (*READERS, *SUFFIXES, COMPRESSED):
             allowed = "a text, which grows line by line; without --follow it is replayed"
             raise InputError(path, "--follow", path.name, allowed)
@@ -248,7 +236,7 @@ class Streamed(_Growing):
         clock: by which that is measured.
     """
 
-    def __init__(self, stream: BinaryIO, path: Path, machine: Machine, idle_s: float, clock: ReplayClock) -> None:
+    def __init__(self, stream: BinaryIO, path: Path, machine: Machine, idle_s: float, clock: HostClock) -> None:
         super().__init__(path, machine, idle_s, clock)
         self._stream = stream
 

@@ -33,7 +33,7 @@ def command(machine: Machine, log: Path, *, json: bool = False) -> bool:
     from sgms_mhe.signals.chain import signals_from_log
 
     recorded = common.recorded_log(log, machine)
-    check_length(recorded, machine)
+    check_length(len(recorded), recorded.source, machine)
     with common.progress_bar(f"compare {machine.name}") as progress:
         comparison = compare_signals(machine, signals_from_log(recorded, machine), progress=progress)
     common.show(common.json_text(_content(comparison)) if json else _text(comparison))

@@ -97,30 +97,14 @@ def note_wrong_priors(machine: Machine, estimates: Estimates) -> None:
 
 def summarise(machine: Machine, estimates: Estimates, solver: str) -> dict[str, Any]:
     """Return the content of --json: residual over the updates with a measurement, final parameters, status counts."""
-    import numpy as np
-
+    from sgms_mhe.evaluation.watching import RunSummary
     from sgms_mhe.model import build_model
-    from sgms_mhe.signals.status import has_measurement, select_flags
 
-    counted = has_measurement(estimates.status)
-    residual = (estimates.friction_measured_N - estimates.friction_N)[counted]
-    nominal = [parameter.nominal for parameter in build_model(machine).parameters]
-    columns = (nominal, estimates.parameters[-1], estimates.std[-1])
-    return {
-        "machine": machine.name,
-        "solver": solver,
-        "updates": len(estimates),
-        "measured": int(np.count_nonzero(counted)),
-        "start_s": float(estimates.time_s[0]),
-        "end_s": float(estimates.time_s[-1]),
-        "residual_rms_N": float(np.sqrt(np.mean(residual**2))) if len(residual) else None,
-        "parameters": {
-            name: {"nominal": float(p), "estimate": float(value), "std": float(std)}
-            for name, p, value, std in zip(estimates.parameter_names, *columns, strict=True)
-        },
-        "status": {"good": int(np.count_nonzero(estimates.status == 0))}
-        | {name: int(np.count_nonzero(mask)) for name, mask in select_flags(estimates.status).items()},
-    }
+    run = RunSummary(machine, build_model(machine))
+    run.add(estimates)
+    summary = run.summary()
+    shown = ("updates", "measured", "start_s", "end_s", "residual_rms_N", "parameters", "status")
+    return {"machine": machine.name, "solver": solver} | {key: summary[key] for key in shown}
 
 
 def summary_text(machine: Machine, summary: dict[str, Any]) -> str:

@@ -1,71 +1,15 @@
-"""Outputs of `sgms-mhe watch`: lines, a page, a growing file of estimates."""
+"""The growing file of estimates that `sgms-mhe watch` writes."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
-import numpy as np
-
-from sgms_mhe.commands.common import is_stream, note
-from sgms_mhe.evaluation.watching import RunSummary, status_words
-from sgms_mhe.report import Watched, write_watch_page
+from sgms_mhe.commands.common import is_stream
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
-from sgms_mhe.support.numbers import interval
-
-PAGE_S: Final = 2.0
-"""Between two pages."""
-
-
-class WatchLines:
-    """A line on stderr every so many seconds of the log."""
-
-    def __init__(self, every_s: float) -> None:
-        self._every_s = every_s
-        self._due = -np.inf
-
-    def show(self, course: RunSummary) -> None:
-        """A line, where one is due."""
-        last = course.latest
-        if last is None or last.time_s[0] < self._due:
-            return
-        time, units = float(last.time_s[0]), course.machine.plant.units
-        self._due = (time // self._every_s + 1.0) * self._every_s
-        parameters = [
-            f"{units.named(name)} {interval(value, std)}"
-            for name, value, std in zip(course.names, last.parameters[0], last.std[0], strict=True)
-        ]
-        friction = f"friction {float(last.friction_N[0]):.4g} {units.force}"
-        ratio = f"test ratio {float(last.test_ratio[0]):.3g}"
-        note(", ".join([f"{time:.2f} s: {status_words(int(last.status[0]))}", friction, ratio, *parameters]))
-
-
-class Page:
-    """The page of a run, written anew every few seconds.
-
-    Args:
-        path: of the page.
-        source: the log, as its user calls it.
-        now: seconds that pass.
-    """
-
-    def __init__(self, path: Path, source: str, now: Callable[[], float]) -> None:
-        self._path, self._source, self._now = path, source, now
-        self._due = -np.inf
-
-    def show(self, course: RunSummary, remarks: tuple[str, ...]) -> None:
-        """A new page, where one is due."""
-        if course.latest is not None and self._now() >= self._due:
-            write_watch_page(self._path, Watched(course, self._source, "", remarks))
-            self._due = self._now() + PAGE_S
-
-    def end(self, course: RunSummary, ended: str, remarks: tuple[str, ...]) -> None:
-        """The page that stays."""
-        write_watch_page(self._path, Watched(course, self._source, ended, remarks))
 
 
 class GrowingEstimates:

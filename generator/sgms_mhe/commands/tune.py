@@ -25,11 +25,11 @@ def command(
     plot: Annotated[Path | None, Option("PNG")] = None,
     json: bool = False,
 ) -> None:
-    """Find noise weights and horizon under which LOG is likeliest.
+    """Noise weights and horizon from a log.
 
-    The innovations are then as large as the estimator says they are: the mean test ratio is near 1. Weights that the
-    log cannot distinguish from the file's stay as they are. Standard deviations at the start
-    (parameter, initial_state) are the user's and stay.
+    Those are written under which LOG is likeliest. The innovations are then as large as the estimator says they are:
+    the mean test ratio is near 1. Weights that the log cannot distinguish from the file's stay as they are. Standard
+    deviations at the start (parameter, initial_state) are the user's and stay.
 
     Args:
         out: a machine file that extends MACHINE by the weights.
@@ -96,7 +96,7 @@ def _text(tuned: Tuned, outputs: list[Path]) -> str:
 def _toml(tuned: Tuned, path: Path, log: str, alone: bool) -> str:
     """Return a machine file with the weights alone, or with every table."""
     from sgms_mhe.configuration import override_machine
-    from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_table
+    from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_tables
 
     head = [
         f"# Weights by sgms-mhe tune over {log}.",
@@ -105,10 +105,6 @@ def _toml(tuned: Tuned, path: Path, log: str, alone: bool) -> str:
     if alone:
         changed = override_machine(tuned.machine, {"name": path.stem, **tuned.changes()})
         return "\n".join([*head, *toml_machine(changed.content)]) + "\n"
-    lines = [*head, *toml_extends(tuned.machine, path.parent), toml_line("name", path.stem)]
-    estimator = tuned.changes().get("estimator", {})
-    if "horizon" in estimator:
-        lines += toml_table("[estimator]", {"horizon": estimator["horizon"]})
-    if "noise" in estimator:
-        lines += toml_table("[estimator.noise]", estimator["noise"])
+    changes = toml_tables("estimator", tuned.changes().get("estimator", {}))
+    lines = [*head, *toml_extends(tuned.machine, path.parent), toml_line("name", path.stem), *changes]
     return "\n".join(lines) + "\n"

@@ -6,24 +6,31 @@ import math
 import signal
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, Final, Self
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import click
 
 from sgms_mhe.commands import common
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.numbers import interval
 from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
-    from sgms_mhe.api.watching import ReplayClock, SampleSource, Watch
-    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, WatchLines
+    from sgms_mhe.api.watching import HostClock, SampleSource, Watch
+    from sgms_mhe.commands.growing_estimates import GrowingEstimates
+    from sgms_mhe.evaluation.watching import RunSummary
     from sgms_mhe.machine import Machine
+    from sgms_mhe.signals.estimates import Estimates
 
 TOGETHER_S: Final = 1.0
 """Within so long signals are one: timeout(1) and some supervisors tell a process and its group."""
+PAGE_S: Final = 2.0
+"""Between two pages."""
 SHOWN: Final = 10
 """Stretches with a fault that the text lists."""
 
@@ -34,18 +41,16 @@ class Interrupt:
     def __init__(self) -> None:
         self.number = 0
         self._asked_s = 0.0
-        self._before: dict[int, Any] = {}
 
-    def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._ask)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+    @contextmanager
+    def awaited(self) -> Iterator[None]:
+        """Take signals within the block."""
+        before = {number: signal.signal(number, self._ask) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def has_request(self) -> bool:
         """Return True if the end was asked for."""
@@ -101,31 +106,35 @@ def command(
         raise InputError(log, "--speed", speed, "a log that is replayed; one that grows comes as fast as it is written")
 
     from sgms_mhe.api.watching import HostClock, Watch
-    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, WatchLines
+    from sgms_mhe.commands.growing_estimates import GrowingEstimates
+    from sgms_mhe.report import Watched, write_watch_page
 
-    with Interrupt() as interrupt:  # before anything takes time: an exception in the midst of an import may be lost
-        clock = HostClock()
-        source = _source(log, machine, math.inf if idle_s is None else idle_s, speed, clock, follow=follow)
+    interrupt = Interrupt()
+    with interrupt.awaited():  # before anything takes time: an exception in the midst of an import may be lost
+        source = _source(log, machine, math.inf if idle_s is None else idle_s, speed, HostClock(), follow=follow)
         watch, name = Watch(machine), str(log) if str(log) != "-" else "standard input"
-        shown = None if page is None else Page(page, name, clock.now)
+
+        def show_page(remarks: Sequence[str], ended: str = "") -> None:
+            if page is not None:
+                write_watch_page(page, Watched(watch.course, name, ended, tuple(remarks)))
+
         rows = None if out is None else GrowingEstimates(out)
-        error = _run(source, watch, interrupt, WatchLines(every_s), shown, rows, judged=not growing)
+        error = _run(source, watch, interrupt, every_s, rows, show_page, judged=not growing)
         if rows is not None:
             rows.close()
         watch.judge()
-        ended = source.ended or ("an error" if error is not None else "interrupted")
         if watch.course.updates:
             remarks = [*watch.doubts, *source.remarks, *([str(error)] if error is not None else [])]
+            ended = source.ended or ("an error" if error is not None else "interrupted")
             summary = {"log": name, "ended": ended, "remarks": remarks} | watch.course.summary()
             text = common.json_text(machine.plant.units.keyed(summary)) if json else _text(machine, summary)
             common.show(text, *([] if out is None else [out]))
-            if shown is not None:
-                shown.end(watch.course, ended, tuple(remarks))
+            show_page(remarks, ended)
     return _exit_code(interrupt, watch, error, name)
 
 
 def _source(
-    log: Path, machine: Machine, idle_s: float, speed: float, clock: ReplayClock, *, follow: bool
+    log: Path, machine: Machine, idle_s: float, speed: float, clock: HostClock, *, follow: bool
 ) -> SampleSource:
     """Where the samples come from. Raises InputError for what cannot be read, or followed."""
     from sgms_mhe.api import watching
@@ -143,14 +152,14 @@ def _run(
     source: SampleSource,
     watch: Watch,
     interrupt: Interrupt,
-    lines: WatchLines,
-    page: Page | None,
+    every_s: float,
     rows: GrowingEstimates | None,
+    show_page: Callable[[Sequence[str]], None],
     *,
     judged: bool,
 ) -> InputError | None:
     """Watch until the source ends, somebody asks for it, or something is wrong; that."""
-    told = 0
+    told, next_line, next_page = 0, -math.inf, -math.inf
     try:
         for piece in source.pieces(interrupt.has_request):
             if piece is not None:
@@ -159,10 +168,13 @@ def _run(
                     rows.append(estimates)
             for doubt in watch.doubts[told:]:
                 common.note(doubt)
-            told = len(watch.doubts)
-            lines.show(watch.course)
-            if page is not None:
-                page.show(watch.course, tuple(watch.doubts))
+            told, last = len(watch.doubts), watch.course.latest
+            if last is not None and last.time_s[0] >= next_line:
+                next_line = (last.time_s[0] // every_s + 1.0) * every_s
+                common.note(_line(watch.course, last))
+            if last is not None and time.monotonic() >= next_page:
+                show_page(watch.doubts)
+                next_page = time.monotonic() + PAGE_S
     except InputError as error:
         return error
     return None
@@ -180,11 +192,23 @@ def _exit_code(interrupt: Interrupt, watch: Watch, error: InputError | None, nam
         common.note(f"Interrupted after {watch.course.updates} updates.")
         return 128 + interrupt.number
     if not watch.course.updates:
-        machine = watch.course.machine
-        least = machine.sampling.samples_per_update + 1
-        allowed = f"at least {least}, what one update of {machine.name} takes"
-        raise InputError(name, "rows", watch.course.samples, allowed)
+        from sgms_mhe.api.estimation import check_length
+
+        check_length(watch.course.samples, name, watch.course.machine)
     return bool(watch.doubts)
+
+
+def _line(course: RunSummary, last: Estimates) -> str:
+    """The newest update in a line."""
+    from sgms_mhe.evaluation.watching import status_words
+
+    units = course.machine.plant.units
+    parameters = [
+        f"{units.named(name)} {interval(value, std)}"
+        for name, value, std in zip(course.names, last.parameters[0], last.std[0], strict=True)
+    ]
+    friction = f"friction {last.friction_N[0]:.4g} {units.force}, test ratio {last.test_ratio[0]:.3g}"
+    return ", ".join([f"{last.time_s[0]:.2f} s: {status_words(int(last.status[0]))}", friction, *parameters])
 
 
 def _text(machine: Machine, summary: dict[str, Any]) -> str:
@@ -192,8 +216,6 @@ def _text(machine: Machine, summary: dict[str, Any]) -> str:
     from sgms_mhe.evaluation.watching import WORDS
 
     units, greatest = machine.plant.units, summary["greatest_test_ratio"]
-    length = summary["status_s"]
-    states = [(WORDS[name], f"{length[name]:.2f} s", str(summary["status"][name])) for name in WORDS if length[name]]
     episodes = [
         f"  {WORDS[e['fault']]}: {e['start_s']:.2f} to {e['end_s']:.2f} s, {e['updates']} updates"
         for e in summary["episodes"][:SHOWN]
@@ -206,7 +228,6 @@ def _text(machine: Machine, summary: dict[str, Any]) -> str:
             f"{summary['samples']} samples, {summary['missing_samples']} missing; "
             f"{common.updates_text(units, summary)}",
             common.parameters_text(units, summary["parameters"]),
-            common.table_text(("status", "time", "updates"), states),
             f"greatest test ratio {greatest['value']:.4g} at {greatest['time_s']:.2f} s",
             *(["faults seen:", *episodes] if episodes else ["faults seen: none"]),
             *(f"mind: {remark}" for remark in summary["remarks"]),

@@ -11,21 +11,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-import numpy as np
-
 from sgms_mhe.api.diagnosis import diagnose
 from sgms_mhe.api.estimation import estimate
 from sgms_mhe.api.fleet.table import Row, Verb
 from sgms_mhe.api.identification import identify
 from sgms_mhe.api.inputs import read_log
 from sgms_mhe.diagnosis.result import Standing
+from sgms_mhe.evaluation.watching import RunSummary
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.machine.writing import toml_log
 from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report import attempt_report
-from sgms_mhe.signals.estimates import Estimates, write_estimates
-from sgms_mhe.signals.status import has_measurement, select_flags
+from sgms_mhe.signals.estimates import write_estimates
 from sgms_mhe.support.json_values import finite
 
 RESULT: Final = "result.json"
@@ -138,25 +136,24 @@ def _diagnose(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Res
 def _estimate(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:
     estimates = estimate(machine, row.log, note=notes.append)
     write_estimates(folder / "estimates.csv", estimates)
-    nominal = (parameter.nominal for parameter in build_model(machine).parameters)
-    columns = (estimates.parameter_names, estimates.parameters[-1], estimates.std[-1], nominal)
-    numbers = [FleetNumber(name, float(v), float(s), float(n)) for name, v, s, n in zip(*columns, strict=True)]
-    verdict, summary = _course(machine, estimates)
+    run = RunSummary(machine, build_model(machine))
+    run.add(estimates)
+    found = run.summary()
+    numbers = [FleetNumber(name, p["estimate"], p["std"], p["nominal"]) for name, p in found["parameters"].items()]
+    verdict, summary = _judge(machine, found)
     standing: Standing = "certain" if verdict == "good" else "undecided"
     return Result(verdict, standing, summary, machine.plant.kind, machine.name, _finite_numbers(numbers), tuple(notes))
 
 
-def _course(machine: Machine, estimates: Estimates) -> tuple[str, str]:
+def _judge(machine: Machine, found: Mapping[str, Any]) -> tuple[str, str]:
     """How an estimation went: `good`, or the flag that more updates had than had none, or none but of a standstill."""
-    counts = {name: int(np.count_nonzero(mask)) for name, mask in select_flags(estimates.status).items()}
-    good = int(np.count_nonzero(estimates.status == 0))
+    counts, rms = dict(found["status"]), found["residual_rms_N"]
+    good = counts.pop("good")
     worst = max(counts.keys() - _USUAL, key=lambda name: counts[name])
     usual = good + max(counts[name] for name in _USUAL)
-    taken = has_measurement(estimates.status)
-    residual = (estimates.friction_measured_N - estimates.friction_N)[taken]
-    left = f"{float(np.sqrt(np.mean(residual**2))):.3g} {machine.plant.units.force}" if len(residual) else "nothing"
-    said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    summary = f"{len(estimates)} updates, {good} good{f', {said}' if said else ''}; measured minus estimated {left} rms"
+    left = "nothing" if rms is None else f"{rms:.3g} {machine.plant.units.force}"
+    said = "".join(f", {count} {name}" for name, count in counts.items() if count)
+    summary = f"{found['updates']} updates, {good} good{said}; measured minus estimated {left} rms"
     return ("good" if usual >= counts[worst] else worst), summary
 
 
