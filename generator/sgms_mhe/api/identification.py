@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, list_sources, load, read_log
+from sgms_mhe.configuration import override_log
 from sgms_mhe.identification import Identification, Wanted
 from sgms_mhe.identification import identify as identify_logs
 from sgms_mhe.machine import Machine, Units
+from sgms_mhe.machine.writing import toml_log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import read_only
 from sgms_mhe.support.options import Option
@@ -23,6 +26,7 @@ def identify(
     inertia: Annotated[float | None, Option("KG_M2", 1e-12, 1e6)] = None,
     elements: int | None = None,
     like: Annotated[str | Path | Machine | None, Option("MACHINE")] = None,
+    table: Mapping[str, Any] | None = None,
     note: Note | None = None,
     progress: Step | None = None,
 ) -> Identification:
@@ -35,6 +39,7 @@ def identify(
         inertia: the same of a rotary axis [kg m^2], as its logs say it is.
         elements: number of friction elements, 1 to 10; None: as many as held-out data gain by.
         like: take sampling, estimator, code and [log] from this machine.
+        table: content of a table `[log]`, laid over that of `like`; without `like` it stands in the file.
         note: called with each sentence on how the logs were read; None: they are `LogWarning`s.
         progress: called with each step; None: the logger `sgms_mhe.progress` is.
 
@@ -44,12 +49,14 @@ def identify(
     Raises:
         InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
     """
-    model = None if like is None else load(like)
-    read = [read_log(log, model, note=note) for log in list_sources(logs)]
+    model = None if like is None else override_log(load(like), table or {})
+    read = [read_log(log, model, table=table, note=note) for log in list_sources(logs)]
     if not read:
         raise InputError("identify", "logs", [], "at least one")
     moved = _moved_mass(read[0].units, mass, inertia)
-    return read_only(identify_logs(read, Wanted(name, moved, elements, model), progress or LOGGER.info))
+    found = identify_logs(read, Wanted(name, moved, elements, model), progress or LOGGER.info)
+    own = toml_log(table, read[0].kind) if table and model is None else ""
+    return read_only(replace(found, toml=found.toml + own))
 
 
 def _moved_mass(units: Units, mass: float | None, inertia: float | None) -> float | None:

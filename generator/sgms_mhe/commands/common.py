@@ -19,9 +19,6 @@ from sgms_mhe.support.json_values import finite
 from sgms_mhe.support.numbers import interval
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as RichProgress
-    from rich.progress import ProgressColumn
-
     from sgms_mhe.machine import Machine, Units
     from sgms_mhe.signals.logs import Log
 
@@ -186,22 +183,44 @@ def steps_bar(elsewhere: Callable[[str], None] | None = None) -> Iterator[Callab
     Args:
         elsewhere: called with each step where nobody watches.
     """
+    with _bar() as move:
+
+        def tell(step: str, share: float) -> None:
+            move(step, share, f"{100.0 * share:.0f} %, {step}")
+            if elsewhere is not None and not _is_watched():
+                elsewhere(step)
+
+        yield tell
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Progress]:
+    """A bar on stderr where that is a terminal; yields what reports (steps done, steps in all) to it."""
+    # Even where nothing is shown, work that reports returns to the interpreter and can be interrupted.
+    with _bar(label) as move:
+
+        def tell(done: int, total: int) -> None:
+            share = done / max(total, 1)
+            move(label, share, f"{label}, {100.0 * share:.0f} %")
+
+        yield tell
+
+
+@contextmanager
+def _bar(label: str = "") -> Iterator[Callable[[str, float, str], None]]:
+    """A bar that goes when it is done; yields what takes the step, its share, and a line for where nobody watches."""
     if not _is_watched():
         with _sparse_lines() as say:
-
-            def tell(step: str, share: float) -> None:
-                say(f"{100.0 * share:.0f} %, {step}")
-                if elsewhere is not None:
-                    elsewhere(step)
-
-            yield tell
+            yield lambda step, share, line: say(line)
         return
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich import progress as rich
+    from rich.console import Console
 
-    columns = (BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    with _bar(*columns, TextColumn("{task.description}")) as bar:
-        task = bar.add_task("", total=1.0)
-        yield lambda step, share: bar.update(task, completed=share, description=step)
+    times = (rich.TimeElapsedColumn(), rich.TextColumn("left"), rich.TimeRemainingColumn())
+    columns = (rich.BarColumn(), rich.TaskProgressColumn(), *times, rich.TextColumn("{task.description}"))
+    with rich.Progress(*columns, console=Console(stderr=True), transient=True, get_time=AwakeClock().now) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda step, share, line: bar.update(task, completed=share, total=1.0, description=step)
 
 
 @contextmanager
@@ -231,29 +250,6 @@ def _sparse_lines() -> Iterator[Callable[[str], None]]:
     finally:
         ended.set()
         thread.join()
-
-
-@contextmanager
-def progress_bar(label: str) -> Iterator[Progress]:
-    """A bar on stderr where that is a terminal; yields what reports (steps done, steps in all) to it."""
-    # Even where nothing is shown, work that reports returns to the interpreter and can be interrupted.
-    if not _is_watched():
-        with _sparse_lines() as say:
-            yield lambda done, total: say(f"{label}, {100.0 * done / max(total, 1):.0f} %")
-        return
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    with _bar(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task(label, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=max(total, 1))
-
-
-def _bar(*columns: ProgressColumn) -> RichProgress:
-    """A bar on stderr that goes when it is done."""
-    from rich.console import Console
-    from rich.progress import Progress as Bar
-
-    return Bar(*columns, console=Console(stderr=True), transient=True, get_time=AwakeClock().now)
 
 
 class AwakeClock:

@@ -52,7 +52,6 @@ def command(
     from sgms_mhe.api.identification import identify
     from sgms_mhe.api.inputs import read_log
     from sgms_mhe.diagnosis.record_residual import measure_residual
-    from sgms_mhe.machine.writing import toml_log
     from sgms_mhe.support.files import write_text
 
     model = load_for_log(like, log_table) if like is not None else None
@@ -63,11 +62,12 @@ def command(
             out.stem,
             elements=None if elements == "auto" else int(elements),
             like=model,
+            table=log_table,
             note=common.note,
             progress=progress,
             **options,
         )
-    write_text(out, found.toml if model is not None else found.toml + toml_log(log_table, read[0].kind))
+    write_text(out, found.toml)
     residuals = [measure_residual(found.machine, record) for record in read]
     if json:
         stated = found.machine.plant.units.keyed({"residual_of_file": [residual.to_json() for residual in residuals]})

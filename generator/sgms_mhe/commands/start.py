@@ -50,6 +50,7 @@ def command(
     """
     common.check_output_file(out, (".toml",))
 
+    from sgms_mhe.api.identification import identify
     from sgms_mhe.api.starting import start_text
 
     if out.exists() and not force:
@@ -59,7 +60,11 @@ def command(
     if log:
         for name, value in friction.items():
             raise InputError("start", f"--{name.replace('_', '-')}", value, "none with a log, which says so itself")
-        _write(out, _from_logs(log, log_table, out.stem, mass, inertia))
+        with common.step_notes() as progress:
+            found = identify(
+                log, out.stem, mass=mass, inertia=inertia, table=log_table, note=common.note, progress=progress
+            )
+        _write(out, found.toml)
     else:
         given = mass if inertia is None else inertia
         moved = _ask("--mass", "Moved mass [kg]") if given is None else given
@@ -91,17 +96,3 @@ def _ask(option: str, question: str) -> float:
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise InputError("start", option, None, f"a number: {question[0].lower()}{question[1:]}")
     return float(click.prompt(question, type=Number(Option(least=1e-12, most=1e9)), err=True))
-
-
-def _from_logs(
-    logs: tuple[Path, ...], table: Mapping[str, Any], name: str, mass: float | None, inertia: float | None
-) -> str:
-    """The file that identification writes, and on stderr how the logs were read."""
-    from sgms_mhe.api.identification import identify
-    from sgms_mhe.api.inputs import read_log
-    from sgms_mhe.machine.writing import toml_log
-
-    read = [read_log(path, table=table, note=common.note) for path in logs]
-    with common.step_notes() as progress:
-        found = identify(read, name, mass=mass, inertia=inertia, note=common.note, progress=progress)
-    return found.toml + toml_log(table, read[0].kind)

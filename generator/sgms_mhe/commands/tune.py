@@ -41,12 +41,12 @@ def command(
         common.check_output_file(plot, (".png", ".svg"))
         optional_library("matplotlib", "plot", "a figure", "--plot")
 
+    from sgms_mhe.api import tuning
     from sgms_mhe.evaluation.plots import save_figure, trade_off_figure
-    from sgms_mhe.evaluation.tuning import tune
     from sgms_mhe.support.files import write_text
 
     with common.step_notes() as progress:
-        tuned = tune(machine, common.recorded_log(log, machine), progress)
+        tuned = tuning.tune(machine, log, note=common.note, progress=progress)
     if out is not None:
         write_text(out, _toml(tuned, out, log.name, standalone))
     if plot is not None:

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -108,10 +108,14 @@ def run_fleet(
 
     sharing: dict[str, list[Row]] = {}
     queue: list[Task] = []
-    machines: dict[str, Machine | InputError] = {}
+
+    @cache
+    def load_once(machine: str) -> Machine:
+        return override_log(load(machine), log_table)
+
     for row in rows:
         try:
-            machine = _machine(row, machines, log_table)
+            machine = load_once(row.machine) if row.machine else None
             key = _key(verb, row, machine, log_table)
         except InputError as error:
             tell(Done(row, None, str(error), None, 0.0))
@@ -134,21 +138,6 @@ def _done(row: Row, outcome: Outcome) -> Done:
     return Done(row, Result.from_json(content), "", outcome.value, outcome.seconds)
 
 
-def _machine(row: Row, known: dict[str, Machine | InputError], log_table: Mapping[str, Any]) -> Machine | None:
-    """Machine of a row, read once for all rows that have it. Raises InputError."""
-    if not row.machine:
-        return None
-    if row.machine not in known:
-        try:
-            known[row.machine] = override_log(load(row.machine), log_table)
-        except InputError as error:
-            known[row.machine] = error
-    found = known[row.machine]
-    if isinstance(found, InputError):
-        raise found
-    return found
-
-
 def _key(verb: Verb, row: Row, machine: Machine | None, log_table: Mapping[str, Any]) -> str:
     """Name of a row's result: of all that it hangs on. Raises InputError where the log cannot be read."""
     try:
@@ -163,7 +152,7 @@ def _key(verb: Verb, row: Row, machine: Machine | None, log_table: Mapping[str, 
     return f"{verb}-{plain}-{hashlib.sha256(content.encode()).hexdigest()[:_DIGITS]}"
 
 
-@lru_cache(maxsize=1)
+@cache
 def _version() -> str:
     """Of all that computes: this package to the last line, its libraries, the effects of other distributions."""
     package = Path(__file__).resolve().parents[2]

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from dataclasses import dataclass
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Literal
 
@@ -122,12 +122,9 @@ def _date(text: str, refusal: InputError) -> datetime | None:
     if not text:
         return None
     try:
-        day = datetime.combine(date.fromisoformat(text), datetime.min.time())
+        day = datetime.fromisoformat(text)
     except ValueError:
-        try:
-            day = datetime.fromisoformat(text)
-        except ValueError:
-            raise refusal from None
+        raise refusal from None
     # Without a zone: taken as they stand, in one order with the others.
     return day if day.tzinfo is not None else day.replace(tzinfo=UTC)
 
@@ -138,7 +135,7 @@ def _mass(text: str, refusal: InputError) -> float | None:
     try:
         mass = float(text)
     except ValueError:
-        raise refusal from None
-    if not (math.isfinite(mass) and mass > 0.0):
+        mass = math.nan
+    if not 0.0 < mass < math.inf:
         raise refusal
     return mass

@@ -15,11 +15,9 @@ from sgms_mhe.api.diagnosis import diagnose
 from sgms_mhe.api.estimation import estimate
 from sgms_mhe.api.fleet.table import Row, Verb
 from sgms_mhe.api.identification import identify
-from sgms_mhe.api.inputs import read_log
 from sgms_mhe.diagnosis.result import Standing
 from sgms_mhe.evaluation.watching import RunSummary
 from sgms_mhe.machine import Kind, Machine
-from sgms_mhe.machine.writing import toml_log
 from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report import attempt_report
@@ -159,10 +157,8 @@ def _judge(machine: Machine, found: Mapping[str, Any]) -> tuple[str, str]:
 
 def _identify(row: Row, machine: Machine | None, table: Mapping[str, Any], folder: Path, notes: list[str]) -> Result:
     name = machine_name(row.axis)
-    log = read_log(row.log, machine, table=table, note=notes.append)
-    found = identify([log], name, mass=row.mass, like=machine, note=notes.append)
-    toml = found.toml if machine is not None else found.toml + toml_log(table, log.kind)
-    (folder / f"{name}.toml").write_text(toml, encoding="utf-8")
+    found = identify(row.log, name, mass=row.mass, like=machine, table=table, note=notes.append)
+    (folder / f"{name}.toml").write_text(found.toml, encoding="utf-8")
     _write_json(folder / "identification.json", found.to_json())
     unit = found.machine.plant.units.force
     return Result(
