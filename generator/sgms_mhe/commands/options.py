@@ -83,7 +83,7 @@ Function = Callable[..., bool | int | None]
 def make_command(*examples: str, of: str = "") -> Callable[[Function], click.Command]:
     """Make a command of a function.
 
-    An option that is not given does not reach the function: its own default holds. A machine is loaded. With an
+    An option that is not given does not reach the function: its own default holds. `machine` comes loaded. With an
     argument `log`, or a parameter `log_table`, the command also has the options that say what a log leaves open; they
     are laid over the machine's table `[log]`, and are the value of `log_table`.
 
@@ -133,7 +133,7 @@ class TypedCommand(click.Command):
         if "machine" in given:
             given["machine"] = load_for_log(given["machine"], table)
         if code := self._function(**given):
-            click.get_current_context().exit(code)
+            click.get_current_context().exit(int(code))
 
 
 def _parse_doc(doc: str) -> tuple[list[str], dict[str, str]]:
