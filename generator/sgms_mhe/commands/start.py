@@ -38,9 +38,8 @@ def command(
     """Write a commented machine file to begin with.
 
     From logs it holds what they determine, without one what is known of the axis. Mass and rate are asked for where
-    they are not given, if there is a terminal. Numbers that nobody gave stand at usual values and are marked as
-    assumed. Of an axis that turns all is in rad and N m. Its first line names the schema by which editors check it,
-    machine.schema.json, written beside it where there is none.
+    they are not given, if there is a terminal. Of an axis that turns all is in rad and N m. The first line of the file
+    names the schema by which editors check it, machine.schema.json, written beside it where there is none.
 
     Args:
         out: the machine file to write; its stem is the machine's name.
