@@ -44,16 +44,15 @@ def _text(machine: Machine, package: Package) -> str:
     friction, sampling, estimator = machine.friction, machine.sampling, machine.estimator
     units = machine.plant.units
     integrator, noise, smoothing = sampling.integrator, estimator.noise, friction.smoothing
-    law = (
-        f"smoothing zeta {smoothing.zeta:g}, lambda {smoothing.lambda_:g}, gamma {smoothing.gamma:g}"
-        if smoothing is not None
-        else "elements switch"
-    )
+    law, horizon = "elements switch", ""
+    if smoothing is not None:
+        law = f"smoothing zeta {smoothing.zeta:g}, lambda {smoothing.lambda_:g}, gamma {smoothing.gamma:g}"
+    if estimator.kind == "mhe":
+        horizon = f", horizon {estimator.horizon} intervals, relinearise {estimator.relinearise}"
+    columns = zip(friction.stiffness, friction.fraction, friction.micro_viscous, strict=True)
     elements = [
         (f"{i}", f"{kappa:g}", f"{nu:g}", f"{sigma:g}", f"{1e6 * nu * friction.coulomb / kappa:.4g}")
-        for i, (kappa, nu, sigma) in enumerate(
-            zip(friction.stiffness, friction.fraction, friction.micro_viscous, strict=True), start=1
-        )
+        for i, (kappa, nu, sigma) in enumerate(columns, start=1)
     ]
     parameters = [
         (
@@ -66,11 +65,6 @@ def _text(machine: Machine, package: Package) -> str:
         for p in build_model(machine).parameters
     ]
     interval = f"{sampling.samples_per_update} samples ({1e3 / sampling.update_rate:g} ms)"
-    horizon = (
-        f", horizon {estimator.horizon} intervals, relinearise {estimator.relinearise}"
-        if estimator.kind == "mhe"
-        else ""
-    )
     lines = [
         f"{machine.name}: {machine.description}" if machine.description else machine.name,
         f"  file        {machine.source}",
