@@ -34,7 +34,7 @@ SHARED: Final = {
 """Help of options that mean the same in every command."""
 
 
-class Number(click.FloatRange):
+class RangedNumber(click.FloatRange):
     """A finite number within a stated range, its ends included."""
 
     def __init__(self, option: Option) -> None:
@@ -51,7 +51,7 @@ class Number(click.FloatRange):
         return number
 
 
-class Pair(click.ParamType[tuple[str, Any]]):
+class NamedValue(click.ParamType[tuple[str, Any]]):
     """A text `name=value`; the value is a number where a range is stated."""
 
     name = "pair"
@@ -170,7 +170,7 @@ def _parameter(parameter: Parameter, texts: Mapping[str, str]) -> click.Paramete
     kind, form = _read_annotation(parameter.annotation)
     holder, _, inner = kind.removesuffix("]").partition("[")
     is_map, is_list = holder in ("Mapping", "dict"), holder == "Sequence" or inner.endswith(", ...")
-    value = Pair(form) if is_map else _click_type(inner.removesuffix(", ...") if is_list else kind, form)
+    value = NamedValue(form) if is_map else _click_type(inner.removesuffix(", ...") if is_list else kind, form)
     required = parameter.default is Parameter.empty
     if parameter.kind is not parameter.KEYWORD_ONLY:
         count = -1 if is_list else 1
@@ -215,5 +215,5 @@ def _click_type(kind: str, form: Option) -> Any:
     if kind == "int":
         least, most = (None if end is None else int(end) for end in (form.least, form.most))
         return click.IntRange(least, most)
-    plain = {"float": Number(form), "str": click.STRING, "Machine": click.STRING, "bool": click.BOOL}
+    plain = {"float": RangedNumber(form), "str": click.STRING, "Machine": click.STRING, "bool": click.BOOL}
     return plain.get(kind, click.Path(path_type=Path))

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final
 import click
 
 from sgms_mhe.commands import common
-from sgms_mhe.commands.options import Number, make_command
+from sgms_mhe.commands.options import RangedNumber, make_command
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.options import Option
 
@@ -94,4 +94,4 @@ def _ask(option: str, question: str) -> float:
     """
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise InputError("start", option, None, f"a number: {question[0].lower()}{question[1:]}")
-    return float(click.prompt(question, type=Number(Option(least=1e-12, most=1e9)), err=True))
+    return float(click.prompt(question, type=RangedNumber(Option(least=1e-12, most=1e9)), err=True))
