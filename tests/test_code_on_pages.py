@@ -167,26 +167,6 @@ def test_every_line_of_shell_is_understood(page: str) -> None:
             PARSERS[program.removeprefix(".venv/bin/")](arguments)
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "sgms-mhe",
-        "check",
-        "simulate etel_xy",
-        "estimate etel_xy log.csv --out e.csv --solver fast",
-        "predict --lowpas 3",
-    ],
-)
-def test_lines_that_are_wrong_are_noticed(line: str) -> None:
-    with pytest.raises((click.ClickException, AssertionError)):
-        parse_command(line.split())
-
-
-def test_targets_that_are_none_are_noticed() -> None:
-    with pytest.raises(AssertionError):
-        parse_make(["no-such-target"])
-
-
 def test_make_says_what_it_will_do_before_it_does() -> None:
     def said(*goals: str) -> str:
         command = ["make", "--dry-run", "--old-file=.venv/.installed", *goals]

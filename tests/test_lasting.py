@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sgms_bench.studies.__main__ import main
 from sgms_bench.studies.cases import rms
 from sgms_bench.studies.faults import VARIANTS
 from sgms_bench.studies.lasting import (
@@ -24,7 +22,6 @@ from sgms_bench.studies.lasting import (
     erroneous_record,
     lasting_outcome,
 )
-from sgms_bench.studies.lasting_figure import lasting_figure
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
@@ -417,26 +414,3 @@ def test_an_error_is_in_the_log_and_in_the_count() -> None:
     assert found.doubted > 0.5
     assert np.all(found.after > clean.after)
     assert found.friction > 2.0 * clean.friction
-
-
-def test_the_picture_shows_one_stiffness_in_both_bands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same estimates; the band that is stated is the wider one once blocks are complete."""
-    left, right = lasting_figure(6.0).axes
-    (estimate, _), (same, _) = left.get_lines(), right.get_lines()
-    np.testing.assert_array_equal(estimate.get_ydata(), same.get_ydata())
-    bands = [np.asarray(axis.collections[0].get_paths()[0].vertices) for axis in (left, right)]
-    widths = [np.ptp(band[np.abs(band[:, 0] - 5.5) < 1e-9, 1]) for band in bands]
-    assert widths[1] > 1.5 * widths[0] > 0.0
-    assert main(["lasting", "--figure", str(tmp_path / "lasting.png"), "--updates", "100"]) == 0
-    assert (tmp_path / "lasting.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(SystemExit):
-        main(["speed", "--figure", str(tmp_path / "speed.png")])
-    assert "speed has none" in capsys.readouterr().err
-
-
-def test_every_error_moves_the_log() -> None:
-    clean = erroneous_record(TRIED[0], "paper", 0, 0.5)
-    for error in ERRORS:
-        record = erroneous_record(error, "paper", 0, 0.5)
-        assert np.any(record.run.log.force_N != clean.run.log.force_N), error.name
-        assert record.theta == pytest.approx(clean.theta), error.name

@@ -12,18 +12,15 @@ import pytest
 
 from sgms_bench.verification import mutation
 from sgms_bench.verification.faults import FAULTS, Fault
-from sgms_bench.verification.mutants import STATEMENT_KINDS, Mutant, draw_mutants, draw_statements
+from sgms_bench.verification.mutants import STATEMENT_KINDS, draw_statements
 from sgms_bench.verification.mutation import (
     REPLAYED,
     Campaign,
     Verdict,
     check_self_test,
-    judge_faults,
-    judge_mutants,
     record_log,
 )
 from sgms_bench.verification.specimens import specimen
-from sgms_bench.verification.survivors import SURVIVORS, is_explained
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import Package, emit_package
 
@@ -94,14 +91,6 @@ def test_a_second_origin_and_filters_that_settle_early_are_noticed(tmp_path: Pat
     for at in places:
         early = text[:at] + zero.replace("0;", "1;") + text[at + len(zero) :]
         assert campaign.judge({**files, "sgms_filter.h": early}) is Verdict.MISSED
-
-
-@pytest.mark.parametrize("draw", [draw_mutants, draw_statements])
-def test_mutants_are_those_of_the_seed(draw: Callable[..., list[Mutant]], package: Package) -> None:
-    drawn = draw(package, 20, 3)
-    assert len(drawn) == 20 and drawn == draw(package, 20, 3) != draw(package, 20, 4)
-    for mutant in drawn:
-        assert mutant.spoil(package)[mutant.file] != package.files[mutant.file]
 
 
 SURVIVED = {
@@ -183,35 +172,6 @@ def test_statements_of_every_kind_are_changed(package: Package) -> None:
         assert mutant.new != mutant.old and mutant.new.count(";") == 2
     terms = [mutant.old.count(" = less_products(right, ") for mutant in draw_statements(package, 10**6, 3)]
     assert max(terms) == 1, "two terms of one sum in the other order are no fault"
-
-
-def test_campaign_fails_where_too_few_are_noticed() -> None:
-    assert judge_faults("t", [("a", Verdict.NOTICED)] * 19 + [("b", Verdict.MISSED)]).failures == ()
-    few = judge_faults("t", [("a", Verdict.NOTICED)] * 18 + [("b", Verdict.REPLAYED), ("c", Verdict.UNCHANGED)])
-    assert few.failures == ("b", "c") and few.tried == "20 faults, 18 noticed"
-
-
-def test_survivors_count_unless_they_have_a_reason() -> None:
-    """Of ten mutants the compiler knows two; one is equivalent, one is not noticed by anyone."""
-
-    def mutant(function: str, code: str) -> Mutant:
-        return Mutant("own.c", 7, 0, function, code, " < ", " <= ")
-
-    plain, equal = mutant("update", "a < b"), mutant("sgms_flow_place_of_s", "s < flow_edge[j + 1]")
-    assert is_explained(equal) and not is_explained(plain)
-    verdicts = [(plain, Verdict.NOTICED)] * 5 + [(plain, Verdict.SAME)] * 2
-    verdicts += [(plain, Verdict.REPLAYED), (plain, Verdict.UNCHANGED), (equal, Verdict.UNCHANGED)]
-    alone, together = judge_mutants(("alone", "together"), verdicts, 0.8)
-    assert alone.tried == "7 mutants that are not equivalent, 5 noticed"
-    assert alone.failures == ("own.c:7: update: a < b: < -> <=",) * 2
-    assert together.tried.startswith("7 mutants that are not equivalent, 6 noticed: 5 by the self-test, 1 more by the")
-    assert together.tried.endswith("1 equivalent for reasons of the list") and len(together.failures) == 1
-    explained = judge_mutants(("alone", "together"), [(plain, Verdict.NOTICED)] * 4 + [(equal, Verdict.UNCHANGED)], 0.8)
-    assert [outcome.failures for outcome in explained] == [(), ()]
-
-
-def test_every_survivor_has_a_reason() -> None:
-    assert all(len(survivor.reason.split()) >= 5 for survivor in SURVIVORS)
 
 
 def test_replayed_log_has_what_it_is_for(package: Package) -> None:

@@ -81,31 +81,11 @@ def test_notebook_is_what_its_script_gives(name: str, percent: ModuleType) -> No
     assert [line for line in given if line] == lines
 
 
-def test_page_shows_outputs_of_the_script_as_it_is_now(percent: ModuleType, tmp_path: Path) -> None:
-    script, ran = tmp_path / "now.py", tmp_path / "now.ipynb"
-    script.write_text("# %%\nprint(1)\n")
-    book = nbformat.reads(percent.notebook(script.read_text()), as_version=4)
-    book.cells[0].outputs = [nbformat.v4.new_output("stream", name="stdout", text="one\n")]
-    nbformat.write(book, ran)
-    assert "```text\none\n```" in percent.page(script, ran)[0]
-    script.write_text("# %%\nprint(2)\n")
-    assert "one" not in percent.page(script, ran)[0]
-    assert "print(2)" in percent.page(script, tmp_path / "absent.ipynb")[0]
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_links_of_a_script_lead_to_pages(name: str) -> None:
     script = (FOLDER / f"{name}.py").read_text(encoding="utf-8")
     links = re.findall(r"\]\(([^)#]+)[^)]*\)", script)
     assert all((FOLDER / link).is_file() for link in links)
-
-
-@pytest.mark.parametrize(
-    ("script", "said"), [("import os\n# %%\n", "import os"), ("# %% [markdown]\nx = 1\n", "x = 1")]
-)
-def test_scripts_that_are_no_cells_are_refused(percent: ModuleType, script: str, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        percent.notebook(script)
 
 
 # --- run ------------------------------------------------------------------------------------------------------------

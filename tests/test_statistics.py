@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sgms_bench.studies.__main__ import main
 from sgms_bench.studies.cases import Case
 from sgms_bench.studies.coverage import draw, normalised_errors, statistics_machine
 from sgms_bench.studies.creep import CREEP_TRUTH, FORMULATIONS, Formulation, creep_signals, follow
 from sgms_bench.studies.monte_carlo import CASES, compare_case
-from sgms_bench.studies.others import RATE, drawn_motion, joint_row
+from sgms_bench.studies.others import joint_row
 from sgms_bench.studies.relinearise import RELINEARISE_CASES, relinearise_errors
 from sgms_mhe.configuration import load_machine, override_machine
 
@@ -74,14 +73,6 @@ def test_the_papers_weights_creep_and_the_defaults_do_not() -> None:
     assert abs(kept[3] - CREEP_TRUTH[3]) < 0.06
 
 
-def test_a_study_says_the_same_wherever_it_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    said = []
-    for jobs in ("0", "2"):
-        assert main(["coverage", "--runs", "2", "--updates", "20", "--jobs", jobs]) == 0
-        said.append(capsys.readouterr().out)
-    assert said[0] == said[1] and "prior 0.3" in said[0]
-
-
 @pytest.mark.parametrize("name", ["default (state 0.01)", "30 % off, prior 0.3", "mixed motion"])
 def test_auto_stays_near_all(name: str) -> None:
     """A quarter of a standard deviation, from the first half second after a wrong start; friction to a percent."""
@@ -99,20 +90,3 @@ def test_a_joint_of_mujoco_is_identified_judged_and_compensated() -> None:
     assert abs(row["inertia"]) < 3.0 and abs(row["gravity"]) < 2.0
     assert not row["verdict"].startswith(("adequate", "explained"))  # what MuJoCo has is no S-GMS
     assert row["C"] < 0.2 * row["static"] < row["PD"]
-
-
-def test_motions_of_a_study_have_their_derivatives() -> None:
-    motion = drawn_motion(5, 4.0)
-    inside = slice(1, -1)
-    speed, acceleration = np.gradient(motion.angle) * RATE, np.gradient(motion.speed) * RATE
-    np.testing.assert_allclose(motion.speed[inside], speed[inside], atol=1e-3 * np.abs(motion.speed).max())
-    largest = np.abs(motion.acceleration).max()
-    np.testing.assert_allclose(motion.acceleration[inside], acceleration[inside], atol=1e-3 * largest)
-    assert 1.2 <= np.abs(motion.angle).max() <= 2.2
-
-
-def test_studies_run_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["coverage", "--runs", "2", "--updates", "20"]) == 0
-    assert "default" in capsys.readouterr().out
-    with pytest.raises(SystemExit):
-        main(["nothing"])

@@ -9,18 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 import pytest
 
-import sgms_bench.target.trial
 import sgms_mhe.host.targets
 from c_packages import machine
-from cli_cases import SMALL, done, refused, run
-from sgms_bench.commands.target import command
+from cli_cases import SMALL, done
 from sgms_bench.motions import simulated_log
-from sgms_bench.target import firmware
-from sgms_bench.target.firmware import LOOPS, build_program, double_arithmetic
+from sgms_bench.target.firmware import build_program, double_arithmetic
 from sgms_bench.target.stacks import LIBRARY_FRAME, call_paths
 from sgms_bench.target.trial import TargetTrial, compare_with_host, identical_updates, run_trial, single_precision
 from sgms_mhe.configuration import load_machine, override_machine
@@ -129,51 +125,7 @@ def test_contracted_arithmetic_is_within_rounding_and_not_the_same(small: Machin
     assert host.identical_updates < 60
 
 
-def test_identical_updates_sees_every_column(small: Machine, small_log: Log) -> None:
-    estimates = CompiledEstimator(small).estimate_log(small_log, mode="tasks")
-    assert identical_updates(estimates, estimates).all()
-    for name in ("friction_measured_N", "friction_N", "z_m", "parameters", "std", "status"):
-        changed = getattr(estimates, name).copy()
-        changed[7] += 1
-        assert np.flatnonzero(~identical_updates(replace(estimates, **{name: changed}), estimates)).tolist() == [7]
-
-
 # --- instructions ------------------------------------------------------------------------------------------------
-
-
-def test_counter_is_calibrated(small_trial: TargetTrial) -> None:
-    """Loops of known length are counted to the instruction."""
-    assert small_trial.calibration == tuple((2 + 2 * n, 2 + 2 * n) for n in LOOPS)
-
-
-@pytest.mark.needs_arm
-def test_clock_that_does_not_count_instructions_is_refused(small: Machine, small_log: Log) -> None:
-    wrong = replace(M7, emulator=tuple("shift=8" if word == "shift=9" else word for word in M7.emulator))
-    with pytest.raises(BuildError, match=r"counts 2 instructions where 4 ran"):
-        run_trial(small, small_log, wrong)
-
-
-def test_counts_are_those_of_the_work(small_trial: TargetTrial) -> None:
-    M = small_trial.machine.sampling.samples_per_update
-    assert small_trial.sample.shape == small_trial.tick.shape == (60, M)
-    np.testing.assert_array_equal(
-        small_trial.update, small_trial.sample.sum(axis=1) + small_trial.feedback + small_trial.prepare
-    )
-    assert small_trial.sample.min() > 50
-    # One interval to linearise against a full window.
-    assert 2 * small_trial.prepare[1] < small_trial.prepare[10:].mean()
-    # One task does the same work, with a call per sample.
-    one, two = small_trial.tick.sum(axis=1), small_trial.update
-    assert abs(one[1:].mean() / two[1:].mean() - 1.0) < 0.05
-
-
-@pytest.mark.needs_arm
-def test_counts_are_the_same_in_every_run(small: Machine, small_log: Log) -> None:
-    short = Log(small_log.time_s[:201], small_log.position_m[:201], small_log.force_N[:201], small_log.rate)
-    first, second = (run_trial(small, short, M7) for _ in range(2))
-    for name in ("sample", "tick", "feedback", "prepare", "estimate"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    assert first.memory == second.memory
 
 
 @pytest.mark.needs_arm
@@ -298,36 +250,11 @@ def test_absent_emulator_is_named(small: Machine, small_log: Log) -> None:
 
 
 @pytest.mark.needs_arm
-def test_fault_is_reported(small: Machine, small_log: Log) -> None:
-    """A Cortex-M3 has no FPU: the first instruction for it faults."""
-    other = replace(M7, emulator=("qemu-system-arm", "-machine", "mps2-an385", "-icount", "shift=9"))
-    with pytest.raises(BuildError, match=r"exit code 10\d, exception \d"):
-        run_trial(small, small_log, other)
-
-
-@pytest.mark.needs_arm
 def test_run_that_stalls_is_stopped(small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     # Before its first instruction: the emulator waits for a debugger.
     monkeypatch.setattr(sgms_mhe.host.targets, "_STALLED_S", 0.3)
     with pytest.raises(BuildError, match=r"nothing came out of it for 0\.3 s"):
         run_trial(small, small_log, replace(M7, emulator=(*M7.emulator, "-S")))
-
-
-@pytest.mark.parametrize("core", CORES)
-def test_call_that_the_counter_cannot_hold_is_refused(
-    core: Target, small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A count that wrapped around would look harmless. Here with a coarser clock, so that the counter fills sooner."""
-    shift = {"cortex_m7": ("shift=10", 25.6), "riscv32": ("shift=7", 128.0)}[core.name]
-    coarse = replace(core, emulator=(*core.emulator[:-1], shift[0]), ticks=shift[1])
-    room = int(2**32 / coarse.ticks)
-    monkeypatch.setattr(firmware, "LOOPS", (10, int(0.48 * room)))
-    assert run_trial(small, small_log, coarse).calibration[-1][1] > 0.9 * room
-    monkeypatch.setattr(firmware, "LOOPS", (10, int(0.51 * room)))
-    with pytest.raises(
-        BuildError, match=rf"exit code 5, a call takes more than {room:.2g} instructions".replace("+", r"\+")
-    ):
-        run_trial(small, small_log, coarse)
 
 
 # --- command -----------------------------------------------------------------------------------------------------
@@ -364,28 +291,3 @@ def test_command_prints_json(small_file: Path) -> None:
         assert 0 < counts["mean"] <= counts["max"]
     assert result["bytes"]["ram"] == result["bytes"]["axis"] + max(result["bytes"]["stack"].values())
     assert result["host"]["identical"] is True
-
-
-@pytest.mark.needs_arm
-def test_command_says_so_where_the_host_disagrees(small_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def off(trial: TargetTrial, log: Log, **settings: Any) -> Any:
-        friction = trial.estimates.friction_N + 1.0
-        return compare_with_host(replace(trial, estimates=replace(trial.estimates, friction_N=friction)), log)
-
-    monkeypatch.setattr(sgms_bench.target.trial, "compare_with_host", off)
-    result = run("target", small_file, "--updates", "5")
-    assert result.exit_code == 1
-    assert "0 updates the same" in result.stdout and "friction_N off by" in result.stdout
-
-
-def test_command_offers_every_target() -> None:
-    (core,) = (option for option in command.params if option.name == "core")
-    assert isinstance(core.type, click.Choice)
-    assert list(core.type.choices) == list(TARGETS)
-
-
-def test_command_refuses_a_log_without_an_update(small_file: Path, tmp_path: Path) -> None:
-    log = tmp_path / "axis.csv"
-    rows = [f"{k * 1e-3:.3f},0.0,0.0" for k in range(5)]
-    log.write_text("\n".join(["time_s,position_m,force_N", *rows]))
-    assert "at least 21" in refused("target", small_file, log)

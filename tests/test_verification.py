@@ -6,35 +6,25 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-from sgms_bench.verification import __main__ as command
-from sgms_bench.verification import coverage, fuzzing, limits, mcdc, upsets
+from sgms_bench.verification import coverage, limits, upsets
 from sgms_bench.verification.bits import BIG_ENDIAN, Build, exercise, required_statuses, same_bits, target_builds
 from sgms_bench.verification.constructs import jumps_and_storage, pointers_and_recursion, unbounded_loops
 from sgms_bench.verification.coverage import check_coverage, measure
-from sgms_bench.verification.fuzzing import SANITIZERS, Sanitizer, fuzz_machines, fuzz_package
-from sgms_bench.verification.gaps import GAPS, Gap
-from sgms_bench.verification.limits import STATED, check_limits, stated_operations
-from sgms_bench.verification.machines import random_package
+from sgms_bench.verification.fuzzing import SANITIZERS, fuzz_package
+from sgms_bench.verification.gaps import Gap
+from sgms_bench.verification.limits import check_limits
 from sgms_bench.verification.mcdc import (
     UNDECIDED,
-    Conditions,
-    Decision,
     check_conditions,
-    conditions_of,
-    find_unexplained,
-    merge,
 )
-from sgms_bench.verification.outcome import CheckOutcome
 from sgms_bench.verification.specimens import SPECIMENS, specimen, specimens
 from sgms_bench.verification.syntax import syntax_tree
 from sgms_bench.verification.upsets import check_upsets
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.support.errors import BuildError
 
 Tool = Callable[[str], str]
 PLAIN = SANITIZERS["plain"]
@@ -63,22 +53,6 @@ def test_every_effect_of_a_specimen_has_a_size() -> None:
 
 
 # --- random calls ----------------------------------------------------------------------------------------------------
-
-
-def test_random_machines_are_many_and_repeat() -> None:
-    found = [random_package(seed).machine for seed in range(12)]
-    assert [m.digest for m in found[:3]] == [random_package(seed).machine.digest for seed in range(3)]
-    assert {m.friction.switches for m in found} == {True, False}
-    assert {m.estimator.kind for m in found} == {"mhe", "ekf"}
-    assert len({m.estimator.relinearise for m in found}) > 1
-    assert {m.code.precision for m in found} == {"double", "single"}
-    assert len({m.sampling.integrator.scheme for m in found}) >= 3
-    assert max(len(m.friction.stiffness) for m in found) >= 7
-    assert max(m.estimator.horizon for m in found) > 30
-    assert len({e.name for m in found for e in m.effects}) >= 3
-    disturbances = [m.estimator.disturbance for m in found]
-    assert {d.inertia > 0.0 for d in disturbances} == {d.force > 0.0 for d in disturbances} == {True, False}
-    assert any(d.force > 0.0 and d.length is not None for d in disturbances)
 
 
 @pytest.mark.slow
@@ -131,30 +105,6 @@ def test_random_calls_find_what_is_wrong(
     assert (tmp_path / "kept" / "fuzz").is_file()
 
 
-def test_random_calls_are_shared_by_their_work(
-    require_tool: Tool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """All of the calls are made; a package of large calls gets fewer, but not next to none."""
-    require_tool("gcc")
-    shares: dict[int, int] = {}
-
-    def counted(_: Sanitizer, __: Package, calls: int, seed: int, ___: Path) -> tuple[int, str]:
-        shares[seed] = calls
-        return calls, ""
-
-    monkeypatch.setattr(fuzzing, "fuzz_package", counted)
-    fuzz_machines(PLAIN, [2001, 2008, 2003], 300_000, tmp_path)
-    assert 300_000 <= sum(shares.values()) <= 1.03 * 300_000
-    assert 0.02 * 100_000 <= shares[2001] < shares[2008] < shares[2003]
-
-
-def test_sanitizer_that_is_absent_is_told(tmp_path: Path) -> None:
-    absent = Sanitizer("of no compiler", ("no-such-compiler",), ("-O1", "-fsanitize=address"), guided=False)
-    assert "no-such-compiler" in (fuzz_machines(absent, [1], 10, tmp_path).skipped or "")
-    unknown = Sanitizer("of no name", ("gcc",), ("-O1", "-fsanitize=nonsense"), guided=False)
-    assert "-fsanitize=nonsense" in (fuzz_machines(unknown, [1], 10, tmp_path).skipped or "")
-
-
 # --- bits that flip --------------------------------------------------------------------------------------------------
 
 
@@ -177,14 +127,6 @@ def test_bit_that_moves_an_index_is_found(
     monkeypatch.setattr(upsets, "emit_package", lambda *_, **__: wrong)
     outcome = check_upsets([package.machine], 3000, 3)
     assert len(outcome.failures) == 1 and ("out of bounds" in outcome.failures[0] or "Sanitizer" in outcome.failures[0])
-
-
-def test_flips_that_nothing_tells_fail_the_check(
-    package: Package, require_tool: Tool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    require_tool("gcc")
-    monkeypatch.setattr(upsets, "flip_bits", lambda *_: ([1000, 980, 10, 10, 4, 6], ""))
-    assert check_upsets([package.machine], 1000, 3).failures == ("10 of 1000 flips are neither told nor forgotten",)
 
 
 # --- bits ------------------------------------------------------------------------------------------------------------
@@ -239,24 +181,6 @@ def test_gap_without_a_reason_is_found(require_tool: Tool, monkeypatch: pytest.M
     outcome = check_coverage([specimen("ekf")], silent)
     assert len(outcome.failures) == len(left) + 1
     assert "no package has this gap any more: absent: nothing" in outcome.failures
-
-
-@pytest.mark.parametrize("module", [coverage, mcdc])
-def test_package_that_does_not_compile_is_a_failure(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the package and what the compiler said, and no reason of another one blamed."""
-
-    def refuse(*_: object) -> None:
-        raise BuildError("gcc: exit code 1")
-
-    monkeypatch.setattr(module, "measure", refuse)
-    monkeypatch.setattr(mcdc, "find_version", lambda: "")
-    check = {"coverage": check_coverage, "mcdc": check_conditions}[module.__name__.rpartition(".")[2]]
-    outcome = check([specimen("ekf")], silent)
-    assert outcome.failures == ("specimen_ekf: gcc: exit code 1",)
-
-
-def test_every_gap_has_a_reason() -> None:
-    assert all(len(gap.reason.split()) >= 5 for gap in GAPS)
 
 
 # --- constructs ------------------------------------------------------------------------------------------------------
@@ -315,27 +239,7 @@ def test_work_and_stack_stay_within_what_is_stated(monkeypatch: pytest.MonkeyPat
     assert all(any("feedback takes" in text for text in o.failures) for o in beyond)
 
 
-def test_stated_operations_are_read(package: Package) -> None:
-    assert set(stated_operations(package)) == set(STATED)
-    assert all(count > 1000 for count in stated_operations(package).values())
-
-
 # --- conditions ------------------------------------------------------------------------------------------------------
-
-
-def test_conditions_that_decide_in_any_package_count(tmp_path: Path) -> None:
-    """Two packages, one in single precision: each sees one of the two conditions decide alone."""
-    found: Conditions = {}
-    for name, literal, seen in (("mine", "0.0", [True, False]), ("other", "0.0f", [False, True])):
-        source = tmp_path / f"{name}.c"
-        source.write_text(
-            f"int {name}_f(float a)\n{{\n    return a > {literal} &&\n        a < {name.upper()}_MOST;\n}}\n"
-        )
-        end = len(f"        a < {name.upper()}_MOST") + 1
-        export = {"data": [{"files": [{"filename": str(source), "mcdc_records": [[3, 12, 4, end, 0, 0, seen]]}]}]}
-        merge(found, conditions_of(export, name))
-        assert sum(map(sum, found.values())) == 1 + (name == "other")
-    assert found == {Decision("NAME.c", "a > 0.0 && a < NAME_MOST"): (True, True)}
 
 
 @pytest.mark.slow
@@ -348,30 +252,4 @@ def test_every_condition_decides_or_is_explained() -> None:
     assert count > 150 and deciding == count - len(UNDECIDED) > 0.95 * count
 
 
-def test_condition_without_a_reason_is_found() -> None:
-    explained: Conditions = {}
-    for code, condition in UNDECIDED:
-        explained[Decision("NAME.c", code)] = tuple(part != condition for part in re.split(r" (?:&&|\|\|) ", code))
-    assert find_unexplained(explained) == ()
-    found = {**explained, Decision("NAME.c", "a > 0 || b > 0"): (True, False)}
-    assert find_unexplained(found) == ("NAME.c: a > 0 || b > 0: b > 0",)
-    (first, condition), *_ = UNDECIDED
-    found = {**explained, Decision("NAME.c", first): (True,) * len(explained[Decision("NAME.c", first)])}
-    assert find_unexplained(found) == (f"decides in a package: {condition}",)
-
-
 # --- the table -------------------------------------------------------------------------------------------------------
-
-
-def test_table_and_exit_code(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    good, absent = CheckOutcome("good", "7 things"), CheckOutcome("absent", "", skipped="tool absent: none")
-    bad = CheckOutcome("bad", "9 things", ("the third",))
-    checks = {"a": lambda *_: [good, absent], "b": lambda *_: [bad], "c": lambda *_: [good]}
-    monkeypatch.setattr(command, "CHECKS", checks)
-    assert command.main(["--only", "c"]) == 0
-    capsys.readouterr()
-    assert command.main(["--only", "a", "c"]) == 3  # a check that did not run has not passed
-    printed = capsys.readouterr().out
-    assert "good" in printed and "nothing: tool absent: none" in printed and "skipped" in printed
-    assert command.main([]) == 1
-    assert "failed: bad: the third" in capsys.readouterr().out
