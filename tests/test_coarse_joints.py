@@ -38,7 +38,7 @@ def joint(bits: int, rate: float, seed: int, size: float = 1.0, seconds: float =
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("bits", "rate", "seed", "size"),
-    [(13, 1000.0, 1, 1.0), (14, 500.0, 4, 0.02), (15, 1000.0, 2, 30.0), (17, 2000.0, 3, 1.0)],
+    [(13, 1000.0, 1, 1.0), (14, 500.0, 4, 0.02)],
 )
 def test_inertia_behind_coarse_steps_is_within_its_interval(bits: int, rate: float, seed: int, size: float) -> None:
     """Plain least squares has it 3 to 5 deviations too small."""
@@ -94,25 +94,23 @@ def said_delay(log: Log) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("bits", "seed"), [(11, 3), (12, 1), (12, 2), (13, 1), (20, 1)])
+@pytest.mark.parametrize(("bits", "seed"), [(11, 3), (12, 1)])
 def test_what_an_encoder_makes_of_a_controllers_torque_is_no_delay(bits: int, seed: int) -> None:
     """The torque answers to the steps, whose acceleration stands in the measured friction: 14 to 18 ms were said."""
     assert not said_delay(held_joint(bits, seed))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("bits", "late"), [(16, 20), (20, 12)])
-def test_a_delay_that_the_encoder_shows_is_said(bits: int, late: int) -> None:
+def test_a_delay_that_the_encoder_shows_is_said() -> None:
     """Its size is that of the first order in the delay: a fifth short of twenty samples."""
-    said = re.match(r"the torque comes (\S+) ms after", said_delay(held_joint(bits, 1, late)))
-    assert said and 0.75 * late <= float(said[1]) <= 1.02 * late
+    said = re.match(r"the torque comes (\S+) ms after", said_delay(held_joint(16, 1, late=20)))
+    assert said and 15.0 <= float(said[1]) <= 20.4
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate", [500.0, 2000.0])
-def test_a_force_that_is_held_over_a_sample_is_not_late(rate: float) -> None:
+def test_a_force_that_is_held_over_a_sample_is_not_late() -> None:
     """Half a sample was said as a delay where nothing else is left."""
-    axis = spinning_axis(rate, 0.0, 1)
+    axis = spinning_axis(500.0, 0.0, 1)
     found = identify([axis], Wanted("spinning"))
     assert not any("the motion that it makes" in limit for limit in found.limits)
     later = replace(axis, force_N=np.concatenate((axis.force_N[:5], axis.force_N[:-5])))

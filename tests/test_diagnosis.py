@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +22,6 @@ from sgms_mhe.diagnosis.models import compile_once
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.evaluation.prediction import force_error, predict_log
-from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -68,9 +67,7 @@ def names(diagnosis: Diagnosis) -> list[str]:
 @pytest.mark.parametrize(
     ("name", "parameters", "law"),
     [
-        ("force_ripple", {"amplitude_N": 0.3, "pitch_m": 0.0173, "phase_rad": 0.7}, "maxwell_slip"),
         ("asymmetric_viscous", {"difference_N_s_m": -1.5}, "sgms"),
-        ("mass_mismatch", {"mass_kg": 1.1}, "maxwell_slip"),
         ("step_disturbance", {"force_N": -0.5, "time_s": 3.7}, "sgms"),
         ("actuator_lag", {"time_constant_s": 0.0005}, "sgms"),
     ],
@@ -84,9 +81,7 @@ def test_names_a_hidden_effect_and_its_size(
     found = diagnosis.causes[0].parameters
     for key, value in parameters.items():
         error = found[key] - value
-        if key == "phase_rad":
-            assert abs(np.angle(np.exp(1j * error))) < 0.2
-        elif key == "time_s":
+        if key == "time_s":
             assert abs(error) < 0.7e-3  # rows are a millisecond
         else:
             assert abs(error) < 0.1 * abs(value), key
@@ -115,18 +110,6 @@ def test_phase_is_that_of_the_log_s_clock(machine: Machine) -> None:
     assert left < 1.05 * clean
 
 
-@pytest.mark.slow
-def test_finds_two_effects_at_once(machine: Machine) -> None:
-    hidden: Hidden = [
-        ("constant_offset", {"force_N": 0.5}),
-        ("periodic_disturbance", {"amplitude_N": 0.4, "frequency_Hz": 31.0, "phase_rad": 1.0}),
-    ]
-    diagnosis = diagnose(machine, simulated(machine, hidden))
-    rivals = {a.name for a in diagnosis.alternatives if a.rival}
-    assert {"constant_offset", "periodic_disturbance"} <= {*names(diagnosis), *rivals}
-    assert len(diagnosis.causes) == 2
-
-
 # --- wrong numbers, nothing wrong, nothing known ----------------------------------------------------------------
 
 
@@ -148,18 +131,8 @@ def test_a_lag_is_seen_though_the_fit_left_nothing_that_could_lag() -> None:
 
 
 @pytest.mark.slow
-def test_a_wrong_number_is_not_taken_for_an_effect(machine: Machine) -> None:
-    diagnosis = diagnose(machine, simulated(machine, [], scale={"coulomb": 1.3}))
-    assert names(diagnosis) == ["coulomb"]
-    assert diagnosis.causes[0].parameters["coulomb_N"] == pytest.approx(5.2, rel=0.03)
-    assert diagnosis.causes[0].nominal["coulomb_N"] == 4.0
-    assert diagnosis.extended is not None
-    assert diagnosis.extended.friction.coulomb == pytest.approx(5.2, rel=0.03)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("factor", [0.56, 1.8])
-def test_stiffnesses_far_off_are_found_on_a_switching_axis(machine: Machine, factor: float) -> None:
+def test_stiffnesses_far_off_are_found_on_a_switching_axis(machine: Machine) -> None:
+    factor = 0.56
     diagnosis = diagnose(machine, simulated(machine, [], law="maxwell_slip", scale={"stiffness": factor}))
     assert names(diagnosis) == ["stiffness"], diagnosis.summary
     found = diagnosis.causes[0].parameters
@@ -501,26 +474,3 @@ def test_plan_is_a_trajectory_within_limits(machine: Machine, separate: tuple[st
     assert len(lines) == 1 + len(plan.trajectory.position_m)
     with pytest.raises(InputError, match="separate"):
         make_plan(machine, ("constant_offset", "gremlins"))
-
-
-# --- measured data ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_finds_what_is_in_the_emps_record(measured_data: Callable[[str], Path]) -> None:
-    machine = load_machine("emps")
-    log = read_log(measured_data("emps/DATA_EMPS.mat"), machine)
-    diagnosis = diagnose(machine, log, held_out_s=[(12.4, 25.0)])
-    found = {cause.name: cause for cause in diagnosis.causes}
-    # Published: 166.7 and 240.4 N s/m in the two directions; the screw's pitch is 2.5 mm.
-    assert found["asymmetric_viscous"].parameters["difference_N_s_m"] == pytest.approx(-36.9, rel=0.15)
-    ripples = [c for c in diagnosis.causes if c.name == "force_ripple"]
-    assert any(abs(c.parameters["pitch_m"] - 0.0025) < 2e-5 for c in ripples)
-    assert len(diagnosis.causes) <= 5
-    for cause in diagnosis.causes:
-        assert cause.gain_interval_N[0] > 0.0, cause
-    assert not any(":" in a.name or ":" in (a.instead_of or "") for a in diagnosis.alternatives)
-    traces = diagnosis.traces
-    held = traces.held_out
-    error = np.linalg.norm(traces.residual_after[held]) / np.linalg.norm(traces.force_N[held])
-    assert error < 0.023  # the published fit with separate directions leaves 0.0311

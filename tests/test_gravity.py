@@ -112,12 +112,11 @@ def within(found: Identification, name: str, truth: float, deviations: float = 3
 @pytest.mark.parametrize(
     ("arm", "seed"),
     [
-        (Arm(), 1),
         (Arm(zero=0.7, size=0.02), 2),
         (Arm(gravity=25.0, size=300.0, step=1e-5), 3),
         (Arm(gravity=3.0, zero=-2.5, reach=5.5), 4),
     ],
-    ids=["arm", "servo", "gearbox", "turn"],
+    ids=["servo", "gearbox", "turn"],
 )
 def test_gravity_is_identified_with_inertia_and_friction(arm: Arm, seed: int) -> None:
     """Whatever the size, and whatever angle the encoder counts from."""
@@ -132,10 +131,9 @@ def test_gravity_is_identified_with_inertia_and_friction(arm: Arm, seed: int) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_friction_that_the_load_raises(seed: int) -> None:
+def test_friction_that_the_load_raises() -> None:
     arm = Arm(load=0.12)
-    found = identify([arm.log(seed)], Wanted("arm", elements=2))
+    found = identify([arm.log(1)], Wanted("arm", elements=2))
     within(found, "mass", arm.inertia)  # which steps of the encoder made a quarter too small
     within(found, "unbalance.amplitude_N", arm.gravity)
     within(found, "coulomb", arm.level)
@@ -158,12 +156,11 @@ def test_friction_that_is_gone_at_high_speed_is_friction() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.5, 1.0])
-def test_a_mesh_that_carries_friction_biases_neither_gravity_nor_inertia(share: float) -> None:
+def test_a_mesh_that_carries_friction_biases_neither_gravity_nor_inertia() -> None:
     """Friction that drives less than it brakes looks like gravity: where the mesh is, the records tell."""
-    arm = Arm(load=0.25, share=share)
+    arm = Arm(load=0.25, share=0.5)
     found = identify([arm.log(1)], Wanted("arm", elements=2))
-    assert found.number("load_dependent_friction.friction_ratio").value == share  # one of five that are tried
+    assert found.number("load_dependent_friction.friction_ratio").value == arm.share  # one of five that are tried
     within(found, "mass", arm.inertia)
     within(found, "unbalance.amplitude_N", arm.gravity)
     within(found, "load_dependent_friction.ratio", arm.load)
@@ -210,12 +207,10 @@ def test_below_a_quarter_turn_gravity_is_ambiguous(reach: float, told: bool, tmp
 @pytest.mark.parametrize(
     ("arm", "name", "truth"),
     [
-        (Arm(gravity=0.0, held=5.0), "constant_offset.force_N", 5.0),
         (Arm(gravity=0.0, held=-0.4), "constant_offset.force_N", -0.4),
-        (Arm(gravity=0.0, asymmetry=0.3), "asymmetric_coulomb.ratio", 0.3),
         (Arm(asymmetry=-0.3, size=20.0), "asymmetric_coulomb.ratio", -0.3),
     ],
-    ids=["weight", "cable", "level", "level and gravity"],
+    ids=["cable", "level and gravity"],
 )
 def test_an_offset_and_a_level_of_each_direction_are_told_apart(arm: Arm, name: str, truth: float) -> None:
     """A spring that is none is no rival of either: its limit is an offset, and the travel would show it."""
@@ -230,8 +225,7 @@ def test_an_offset_and_a_level_of_each_direction_are_told_apart(arm: Arm, name: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [5, 6, 7])
-@pytest.mark.parametrize(("noise", "stays"), [(25.0, False), (2.0, True)])
+@pytest.mark.parametrize(("noise", "stays", "seed"), [(25.0, False, 6), (2.0, True, 7)])
 def test_an_element_that_never_slips_is_dropped_where_it_may_be_none(noise: float, stays: bool, seed: int) -> None:
     """Beside a spring it may be any, and the level of sliding with it; in the place of one that shows it stays."""
     found = explore([screw(300.0, noise, seed)], Wanted("screw", elements=1))
@@ -278,8 +272,9 @@ def _hand_over_spring(view: RecordView, fit: AxisFit, share: float) -> AxisFit:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 9, 11])
-@pytest.mark.parametrize(("spring", "noise", "ripple"), [(0.0, 25.0, 0.0), (0.0, 0.5, 3.0), (300.0, 0.5, 3.0)])
+@pytest.mark.parametrize(
+    ("spring", "noise", "ripple", "seed"), [(0.0, 25.0, 0.0, 1), (0.0, 0.5, 3.0, 9), (300.0, 0.5, 3.0, 11)]
+)
 def test_a_spring_is_dropped_where_it_may_be_part_of_what_is_left(
     spring: float, noise: float, ripple: float, seed: int
 ) -> None:
@@ -293,7 +288,7 @@ def test_a_spring_is_dropped_where_it_may_be_part_of_what_is_left(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("pitch", "seed"), [(0.15, 1), (0.3, 1), (0.4, 2), (0.8, 3)])
+@pytest.mark.parametrize(("pitch", "seed"), [(0.15, 1), (0.8, 3)])
 def test_a_ripple_of_a_long_pitch_is_no_spring_for_certain(pitch: float, seed: int) -> None:
     """Over a travel of 0.28 m it is a straight line in part, of -17 to 21 N/m."""
     found = identify([screw(0.0, 1.0, seed, 3.0, pitch)], Wanted("screw", mass=30.0))
@@ -303,10 +298,9 @@ def test_a_ripple_of_a_long_pitch_is_no_spring_for_certain(pitch: float, seed: i
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ripple", [0.0, 3.0])
-def test_a_spring_beside_a_ripple_of_a_short_pitch_is_one(ripple: float) -> None:
+def test_a_spring_beside_a_ripple_of_a_short_pitch_is_one() -> None:
     """Over five pitches and more a ripple has no straight line."""
-    found = identify([screw(60.0, 1.0, 2, ripple, 0.05)], Wanted("screw", mass=30.0))
+    found = identify([screw(60.0, 1.0, 2, 3.0, 0.05)], Wanted("screw", mass=30.0))
     spring = next(number for number in found.numbers if number.name == "position_spring.stiffness_N_m")
     assert spring.determined
     assert spring.value == pytest.approx(60.0, abs=2.5 * spring.std)

@@ -519,9 +519,9 @@ def test_one_direction_shows_no_level(log: Log) -> None:
 
 
 @pytest.mark.slow
-# 4, 9: elements let go within a sample; 22: found with six, not five; 83: its rise shows in every block, and one fold
+# 4: elements let go within a sample; 22: found with six, not five; 83: its rise shows in every block, and one fold
 # fails without it; 92: told by the speed at which its element turns round.
-@pytest.mark.parametrize("seed", [2, 3, 4, 5, 9, 22, 83, 92])
+@pytest.mark.parametrize("seed", [4, 22, 83, 92])
 def test_axes_drawn_at_random(seed: int) -> None:
     """A few of `python -m sgms_bench.studies identify`."""
     row = identified_axis(seed, 15.0)

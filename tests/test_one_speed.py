@@ -60,9 +60,6 @@ def one_way(turns: float, order: int, step: float, seed: int) -> Log:
     ("cutoff", "turns", "order", "step"),
     [
         (100.0, 1.0, 72, 1e-4),
-        (150.0, 1.0, 72, 1e-4),
-        (200.0, 1.0, 72, 1e-4),
-        (120.0, 1.7, 36, 2e-5),
         (60.0, 0.8, 48, 5e-4),
     ],
 )

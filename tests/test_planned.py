@@ -10,8 +10,6 @@ from sgms_mhe.diagnosis.plan import LEAST_S, make_plan
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import cause
 
-QUICK = PlannedExperiment("viscous", "quadratic_drag", "sgms")
-
 
 @pytest.fixture(scope="module")
 def machine() -> Machine:
@@ -32,7 +30,6 @@ def test_a_plan_lasts_and_its_laps_differ(machine: Machine) -> None:
 @pytest.mark.parametrize(
     "experiment",
     [
-        QUICK,
         # Acts in a few blocks alone: the interval of its gain draws sets without any of them.
         PlannedExperiment("mass_mismatch", "micro_viscous", "sgms"),
         # Stands on smooth elements alone: what stands in for the ones that switch is not quite them.

@@ -151,8 +151,7 @@ def diagnosis_of(name: str, pitch: float | None) -> tuple[float, Diagnosis]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pitch", [0.032, None], ids=["pitch", "stroke"])
-@pytest.mark.parametrize("name", ["etel_xy", "etel_xy_rotary"])
+@pytest.mark.parametrize(("name", "pitch"), [("etel_xy", None), ("etel_xy_rotary", 0.032)], ids=["stroke", "pitch"])
 def test_a_hidden_map_is_found_with_its_orders(name: str, pitch: float | None) -> None:
     period, diagnosis = diagnosis_of(name, pitch)
     assert [cause.name for cause in diagnosis.causes] == ["position_map"], diagnosis.summary
