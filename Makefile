@@ -167,8 +167,9 @@ test: $(STAMP) ## all tests but those marked slow
 test-slow: $(STAMP) ## the tests marked slow
 	$(PYTEST) --dist worksteal -m slow $(PYTEST_ARGS)
 
+# Of their files alone: to import the others takes as long as these tests.
 check: lint ## lint, types and the tests marked core: within a minute on two cores
-	$(PYTEST) -m core -q $(PYTEST_ARGS)
+	$(PYTEST) -m 'core and not slow' -q $(PYTEST_ARGS) $(shell grep -l 'mark\.core' tests/test_*.py)
 
 lint: lint-ruff lint-format lint-types lint-c ## ruff, mypy --strict, clang-format: report, change nothing
 

@@ -563,6 +563,7 @@ def test_toml_syntax_error_names_the_line(tmp_path: Path, text: str, where: str)
     assert error.allowed.startswith("TOML syntax")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     ["a" + ".a" * 20_000 + " = 1\n", "[a" + ".a" * 20_000 + "]\n", "[code]\na" + ".a" * 900 + " = 1\n"],
