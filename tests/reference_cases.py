@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
+import pickle
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.configuration import load_machine, make_machine
+from sgms_mhe.configuration import load_machine, make_machine, override_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model, StateSpec
+from sgms_mhe.reference import estimate_reference
 from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.reference.linearised import Linearised
 from sgms_mhe.signals.chain import Signals
+from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
 
@@ -50,6 +54,18 @@ def moving(velocity: Array, rate: float = 10000.0, friction: Array | None = None
         valid=np.ones(n, dtype=bool),
         missing=np.zeros(n, dtype=bool),
     )
+
+
+_estimates: dict[str, Estimates] = {}
+
+
+def estimate_once(machine: Machine, signals: Signals) -> Estimates:
+    """Return what the reference makes of signals, run once for all precisions of the axis's C."""
+    axis = override_machine(machine, {"code": {"precision": "double"}})
+    key = hashlib.sha256(pickle.dumps((axis.digest, signals))).hexdigest()
+    if key not in _estimates:
+        _estimates[key] = estimate_reference(axis, signals)
+    return _estimates[key]
 
 
 def arrays(intervals: Linearised) -> tuple[Array, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from c_packages import PRECISIONS, Array, elements, machine, scheme
-from reference_cases import linear_model
+from reference_cases import estimate_once, linear_model
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -21,7 +21,7 @@ from sgms_mhe.model import Model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.reference import UpdateStatus, estimate_model, estimate_reference
+from sgms_mhe.reference import UpdateStatus, estimate_model
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
@@ -224,7 +224,7 @@ def compiled(settings: Machine, model: Model | None = None) -> CompiledEstimator
 def test_c_is_the_reference(case: str) -> None:
     settings = machine(**MHE_CASES[case])
     signals = signals_of(settings)
-    reference = estimate_reference(settings, signals)
+    reference = estimate_once(settings, signals)
     compare(compiled(settings).estimate(signals), reference)
     # The comparison means something: parameters moved, windows filled, bounds were hit where there are some.
     assert np.ptp(reference.parameters, axis=0).max() > 1e-3 * np.abs(reference.parameters).max()
@@ -255,7 +255,7 @@ def test_all_speeds_and_bad_samples(kind: str, relinearise: str) -> None:
     u[7777], q[9000:9006], u[12000:12300], q[15000:15400] = np.nan, np.nan, np.inf, np.nan
     signals = signals_from_log(dataclasses.replace(log, position_m=q, force_N=u), settings)
     assert np.abs(signals.velocity).max() > 0.9
-    reference = estimate_reference(settings, signals)
+    reference = estimate_once(settings, signals)
     compare(compiled(settings).estimate(signals), reference)
     for flag in (UpdateStatus.MISSING, UpdateStatus.HOLD, *((UpdateStatus.FILLING,) if kind == "mhe" else ())):
         assert np.any(reference.status & flag), flag.name
@@ -265,13 +265,13 @@ def test_all_speeds_by_runge_kutta() -> None:
     settings = machine(sampling=scheme("rk4", displacement=0.1), estimator={"horizon": 4})
     signals = signals_of(settings, "mixed", 1.5)
     assert np.abs(signals.velocity).max() > 0.25
-    compare(compiled(settings).estimate(signals), estimate_reference(settings, signals))
+    compare(compiled(settings).estimate(signals), estimate_once(settings, signals))
 
 
 def test_beyond_the_stated_speed_the_status_says_so() -> None:
     settings = machine(sampling={"max_velocity": 0.1})
     signals = signals_of(settings, "mixed", 1.0)
-    reference = estimate_reference(settings, signals)
+    reference = estimate_once(settings, signals)
     compare(compiled(settings).estimate(signals), reference)
     assert np.any(reference.status & UpdateStatus.SPEED) and not np.all(reference.status & UpdateStatus.SPEED)
 
@@ -281,7 +281,7 @@ def test_full_run_of_the_experiment() -> None:
     """20 s in closed loop of the machine as it is shipped."""
     settings = load_machine("etel_xy")
     signals = signals_of(settings, "paper", 20.0)
-    reference = estimate_reference(settings, signals)
+    reference = estimate_once(settings, signals)
     assert len(reference.status) == 1999
     compare(compiled(settings).estimate(signals), reference)
 
@@ -343,7 +343,7 @@ def test_c_is_the_reference_over_what_an_owner_has(case: str) -> None:
     changes, *record = OWNERS[case]
     settings = make_machine(merge_tables(PENDULUM, changes), Path("pendulum.toml"))
     signals = signals_from_log(swinging(*record), settings)
-    reference = estimate_reference(settings, signals)
+    reference = estimate_once(settings, signals)
     compare(compiled(settings).estimate(signals), reference)
     assert len(reference) == 599 and np.ptp(reference.parameters, axis=0).max() > 0.02
     if changes is SOFTENING:
@@ -386,7 +386,7 @@ def test_single_precision_follows_the_reference(case: str) -> None:
     signals = signals_of(settings)
     compare_single(
         compiled(settings).estimate(signals),
-        estimate_reference(settings, signals),
+        estimate_once(settings, signals),
         settings.estimator.noise.parameter,
     )
 
@@ -399,7 +399,7 @@ def test_single_precision_at_all_speeds_through_its_own_chain(relinearise: str, 
         sampling=scheme("flow", substeps=substeps),
     )
     log = closed_loop(4, "mixed", 2.6)
-    reference = estimate_reference(settings, signals_from_log(log, settings))
+    reference = estimate_once(settings, signals_from_log(log, settings))
     for mode in ("tasks", "tick"):
         c = compiled(settings).estimate_log(log, mode=mode)
         compare_single(c, reference, settings.estimator.noise.parameter)
@@ -425,7 +425,7 @@ def test_raw_samples_and_one_task_give_the_same(changes: Mapping[str, Any]) -> N
     settings = machine(**changes)
     log = closed_loop(4, "paper", 1.2)
     estimator = compiled(settings)
-    reference = estimate_reference(settings, signals_from_log(log, settings))
+    reference = estimate_once(settings, signals_from_log(log, settings))
     tasks, tick = (estimator.estimate_log(log, mode=m) for m in ("tasks", "tick"))
     for name in ("friction_N", "friction_measured_N", "z_m", "parameters", "std", "status"):
         np.testing.assert_array_equal(getattr(tick, name), getattr(tasks, name), err_msg=name)
@@ -470,7 +470,7 @@ def test_time_is_that_of_the_signals_through_either_chain(changes: Mapping[str, 
     path = make_trajectory("paper", settings.sampling.rate, duration_s=1.2)
     log = simulate_axis(settings, path, AxisConfig(seed=SEED), truth=False).log
     signals = signals_from_log(log, settings)
-    reference, estimators = estimate_reference(settings, signals), compiled(settings)
+    reference, estimators = estimate_once(settings, signals), compiled(settings)
     inserted = estimators.estimate(signals)
     compare(inserted, reference)
     np.testing.assert_allclose(inserted.friction_N, reference.friction_N, rtol=1e-11, atol=1e-11)
@@ -483,7 +483,7 @@ def test_time_is_that_of_the_signals_through_either_chain(changes: Mapping[str, 
     phase = reference.parameter_names.index("periodic_disturbance.phase_rad")
     assert np.abs(reference.parameters[:, phase] - 0.7).max() < 0.04
     prompt = estimators.estimate(dataclasses.replace(signals, delay=0.0))
-    compare(prompt, estimate_reference(settings, dataclasses.replace(signals, delay=0.0)))
+    compare(prompt, estimate_once(settings, dataclasses.replace(signals, delay=0.0)))
     assert prompt.parameters[-1, phase] < 0.55
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from reference_cases import estimate_once
 from sgms_bench.studies.cases import rms
 from sgms_bench.studies.faults import VARIANTS
 from sgms_bench.studies.lasting import (
@@ -26,7 +28,7 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
-from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, estimate_reference
+from sgms_mhe.reference import NodeRecord, ReferenceIntegrator
 from sgms_mhe.reference.lasting import InnovationColour, LastingErrors, ParameterWander
 from sgms_mhe.reference.readings import Innovation
 from sgms_mhe.reference.smoother import run_smoother
@@ -37,6 +39,7 @@ from sgms_mhe.signals.status import FLAGS
 Array = NDArray[np.float64]
 
 
+@lru_cache
 def outcome(
     name: str, motion: str = "mixed", variant: str = "ekf double", duration_s: float = 8.0, seed: int = 0
 ) -> LastingOutcome:
@@ -173,7 +176,7 @@ def test_factors_are_one_where_measurements_count_as_stated() -> None:
 
 
 def check_against_reference(machine: Machine, signals: Signals) -> Estimates:
-    expected, found = estimate_reference(machine, signals), CompiledEstimator(machine).estimate(signals)
+    expected, found = estimate_once(machine, signals), CompiledEstimator(machine).estimate(signals)
     tolerance = 1e-9 if machine.code.precision == "double" else 2e-3
     for name in ("parameters", "std"):
         reference = getattr(expected, name)
@@ -201,7 +204,7 @@ def test_emitted_deviations_are_those_of_the_reference(estimator: dict[str, Any]
     signals = erroneous_record(ERRORS[-1], "paper", 0, 4.0).signals
     expected = check_against_reference(machine, signals)
     as_stated = override_machine(machine, {"estimator": {"noise": {"self_scaling": False}}})
-    assert np.all(expected.std[-1] > 1.5 * estimate_reference(as_stated, signals).std[-1])
+    assert np.all(expected.std[-1] > 1.5 * estimate_once(as_stated, signals).std[-1])
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])
@@ -241,7 +244,7 @@ def test_slow_motion_counts_when_it_has_come_as_far(kind: str, precision: str) -
             valid=zeros == 0.0,
             missing=zeros != 0.0,
         )
-        found = (estimate_reference(machine, signals), CompiledEstimator(machine).estimate(signals))
+        found = (estimate_once(machine, signals), CompiledEstimator(machine).estimate(signals))
         for estimates in found:
             holds = estimates.status & FLAGS["hold"] > 0
             np.testing.assert_array_equal(holds, np.tile(np.array(expected) > 0, 10))
@@ -314,6 +317,7 @@ def test_a_force_that_belongs_to_the_place_is_followed(name: str, motion: str, v
     assert clean.sigma < 1.15 * plain.sigma
 
 
+@pytest.mark.slow
 def test_the_smoother_follows_a_force_of_a_place_too() -> None:
     error = next(error for error in ERRORS if error.name == "cogging 1 N / 32 mm")
     record = erroneous_record(error, "contour", 0, 2.0)
@@ -400,7 +404,7 @@ def test_an_uncertain_mass_through_the_chain_is_that_of_the_reference(precision:
     position = log.position_m.copy()
     position[12000:12040] = np.nan
     log = replace(log, position_m=position)
-    expected = estimate_reference(machine, signals_from_log(log, machine))
+    expected = estimate_once(machine, signals_from_log(log, machine))
     found = CompiledEstimator(machine).estimate_log(log, mode="tasks")
     off = np.abs(found.parameters[:, -1] - expected.parameters[:, -1]) / expected.std[:, -1]
     assert np.max(off) < (1e-6 if precision == "double" else 2e-2)
