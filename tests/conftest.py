@@ -27,9 +27,12 @@ MARKED_TOOLS = {
 }
 """Cross compiler and emulator that the tests with a marker take."""
 LONGEST = """
-test_faults_are_noticed test_a_curve_of_another_form_is_named_and_not_its_imitations test_experiment_is_the_recorded_one
+test_it_is_judged_on_another_record test_faults_are_noticed
+test_a_curve_of_another_form_is_named_and_not_its_imitations test_late_film_of_a_curve_is_found_with_its_lag
+test_an_effect_that_cannot_switch_is_found_on_an_axis_that_does test_experiment_is_the_recorded_one
+test_a_joint_of_mujoco_is_identified_judged_and_compensated test_from_a_trace_to_firmware
+test_what_is_known_to_look_alike_is_tried_where_a_derivative_tells_half
 test_every_condition_decides_or_is_explained test_every_kind_of_code_has_no_hit_without_a_reason
-test_from_a_trace_to_firmware
 """.split()
 """Tests of a minute and more: they begin first, or one worker is alone with one of them at the end."""
 
@@ -76,6 +79,14 @@ def measured_data() -> Callable[[str], Path]:
         return path
 
     return locate
+
+
+@pytest.fixture(scope="session")
+def machine() -> Any:
+    """The axis that most tests are about."""
+    from sgms_mhe.configuration import load_machine
+
+    return load_machine("etel_xy")
 
 
 @pytest.fixture(scope="session")

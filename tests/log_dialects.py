@@ -9,12 +9,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from cli_cases import SMALL
+from record_cases import simulate_log
 from sgms_bench.logs.dialects import COUNTS_PER_METRE
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log
 
 
@@ -30,7 +28,5 @@ def machine() -> Machine:
 @lru_cache
 def trace() -> Log:
     """Four seconds whose positions are whole counts and whose times are whole milliseconds."""
-    config = AxisConfig(encoder_resolution_m=1.0 / COUNTS_PER_METRE)
-    reference = make_trajectory("mixed", 1000.0, max_velocity=0.05, duration_s=4.0)
-    log = simulate_axis(machine(), reference, config, truth=False).log
+    log = simulate_log(machine(), seconds=4.0, fastest=0.05, encoder_resolution_m=1.0 / COUNTS_PER_METRE)
     return Log(np.arange(len(log)) / 1000.0, log.position_m, log.force_N, 1000.0)

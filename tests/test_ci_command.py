@@ -47,6 +47,7 @@ def test_a_repository_that_is_in_order_passes(
     assert [case.get("name") for case in suite] == CHECKS
 
 
+@pytest.mark.slow
 @pytest.mark.needs_arm
 def test_self_test_runs_on_the_emulated_target_too(repository: Path) -> None:
     machine = repository / "machines" / "small.toml"
@@ -57,6 +58,7 @@ def test_self_test_runs_on_the_emulated_target_too(repository: Path) -> None:
     assert said["checks"][-1]["name"] == "self-test, cortex_m7"
 
 
+@pytest.mark.slow
 def test_a_changed_file_and_a_changed_package_are_found(repository: Path, tmp_path: Path) -> None:
     machine, generated = tmp_path / "small.toml", tmp_path / "generated"
     machine.write_text(SMALL.replace("mass = 20.0", "mass = 21.0"))
@@ -98,10 +100,12 @@ def package_check(repository: Path, generated: Path) -> str:
     return str(check["failure"])
 
 
+@pytest.mark.slow
 def test_a_package_with_bindings_is_compared_with_them(repository: Path, bound: Path) -> None:
     assert package_check(repository, bound) == ""
 
 
+@pytest.mark.slow
 def test_an_fmu_that_another_compiler_made_is_the_same_package(repository: Path, bound: Path, tmp_path: Path) -> None:
     shutil.copytree(bound / "small", tmp_path / "small")
     fmu, manifest = tmp_path / "small" / "small_fmi3.fmu", tmp_path / "small" / "MANIFEST.json"
@@ -182,6 +186,7 @@ def test_example_workflows_call_commands_that_exist(forge: str, repo_root: Path)
     assert all(option in help_text for option in options)
 
 
+@pytest.mark.slow
 def test_example_of_a_hook_stops_at_a_machine_file_that_is_wrong(tmp_path: Path, repo_root: Path) -> None:
     text = (repo_root / "examples" / "ci" / "pre-commit-config.yaml").read_text()
     hook = dict(re.findall(r"^ +(entry|files): (.+)$", text, re.MULTILINE))

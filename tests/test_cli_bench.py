@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli_cases import SMALL, done
+from cli_cases import done
 from sgms_bench.benchmark.harness import build_harness, instructions_of
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
@@ -20,13 +20,6 @@ from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS
-
-
-@pytest.fixture(scope="session")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("machine") / "small.toml"
-    path.write_text(SMALL)
-    return path
 
 
 @pytest.fixture(params=["double", "single"])
@@ -121,7 +114,7 @@ VARIANT_KEYS = [
 ]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def quick(small: Path) -> dict[str, Any]:
     result: dict[str, Any] = json.loads(done("bench", small, "--quick", "--updates", "100", "--json").stdout)
     return result

@@ -154,56 +154,6 @@ def test_a_residual_over_acceleration_is_said_to_be_the_encoders() -> None:
     assert "encoder" not in _says("acceleration", fine)
 
 
-def draw_axis(seed: int) -> tuple[Machine, SimulatedRun]:
-    """An axis drawn anew: mass, friction, rate, cutoff, speed, and 5 to 500 encoder steps per presliding distance."""
-    random = np.random.default_rng(1000 + seed)
-
-    def between(low: float, high: float) -> float:
-        return float(np.exp(random.uniform(math.log(low), math.log(high))))
-
-    level, count = between(2.0, 60.0), int(random.integers(1, 5))
-    fraction = random.dirichlet(np.full(count, 4.0))
-    distance = between(3e-6, 6e-5) * np.geomspace(0.15, 1.0, count)
-    rate = float(random.choice([1000.0, 2000.0, 4000.0, 5000.0]))
-    changes = {
-        "plant": {"mass": between(0.1, 1.0) * level},
-        "friction": {
-            "stiffness": (fraction * level / distance).tolist(),
-            "fraction": fraction.tolist(),
-            "micro_viscous": [0.0] * count,
-            "viscous": between(0.5, 5.0) * level,
-            "coulomb": level,
-            "stribeck_ratio": random.uniform(0.0, 0.3),
-            "stribeck_velocity": between(1e-3, 1e-2),
-        },
-        "sampling": {
-            "rate": rate,
-            "velocity_cutoff": rate * between(0.015, 0.08),
-            "max_velocity": between(0.05, 0.5),
-        },
-    }
-    machine = override_machine(load_machine("etel_xy_switching"), changes)
-    style = str(random.choice(["loops", "strokes", "dies", "workout"]))
-    motion = draw_motion(style, machine, 12.0, random)
-    config = AxisConfig(
-        "maxwell_slip",
-        bandwidth_Hz=min(25.0, rate / 60.0),
-        encoder_resolution_m=distance[-1] / between(5.0, 500.0),
-        force_noise_N=level * between(1e-4, 1e-2),
-        seed=seed,
-    )
-    return machine, simulate_axis(machine, motion, config)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(0, 12, 3))
-def test_an_axis_drawn_anew_is_adequate_or_hidden_by_its_encoder(seed: int) -> None:
-    machine, run = draw_axis(seed)
-    found = diagnose(machine, run.log)
-    assert not found.causes
-    assert found.verdict == "adequate" or (found.encoder_noise_N > 0.0 and "noise of the encoder" in found.limits[0])
-
-
 @pytest.mark.slow
 # The smooth law goes down at each reversal that a path makes of the encoder's steps; 611 has the other one.
 @pytest.mark.parametrize("seed", [504, 611])

@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import ctypes
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from c_packages import PROBES, machine, scheme, written
-from cli_cases import done, refused
 from sgms_bench.compensation.loop import LoopCompensation, LoopedEstimator
 from sgms_bench.compensation.running import (
     actuation_delay,
     axis_config,
     compare_compensations,
-    make_scenario,
     run_axis,
-    set_point_ahead,
     truth_of,
 )
 from sgms_bench.compensation.tracking import (
@@ -32,18 +27,12 @@ from sgms_bench.compensation.tracking import (
     NONE,
     STATIC,
     TRUE,
-    contour_error,
     measure,
-    measure_contour,
-    peaks_after,
     rests,
-    reversals,
-    settling_times,
 )
 from sgms_bench.studies.tracking import tracking_rows
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.evaluation.plots import save_figure
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig, Controller
@@ -683,103 +672,3 @@ def test_inertia_fed_forward_in_time_leaves_no_error(compensated: Machine) -> No
         assert run.truth is not None
         worst.append(float(np.abs(run.truth.position_m - trajectory.position_m)[1000:3000].max()))
     assert worst[1] < 0.05 * worst[0]
-
-
-# --- measures ---------------------------------------------------------------------------------------------------
-
-
-def test_measures_of_a_made_up_error() -> None:
-    path = Motion(RATE)
-    path.wait(0.05)
-    path.move_to(1e-3, 0.01, 1.0, 100.0)
-    path.wait(0.1)
-    path.move_to(0.0, 0.01, 1.0, 100.0)
-    path.wait(0.1)
-    trajectory = path.trajectory("there and back")
-    (turn,) = reversals(trajectory)
-    waits = rests(trajectory)
-    assert [end - first for first, end in waits] == pytest.approx([1000, 1000], abs=2)
-    assert waits[0][1] == pytest.approx(turn, abs=1)
-    error = np.zeros(len(trajectory.position_m))
-    error[turn - 1], error[turn + 5], error[turn + 1600] = 9e-7, -3e-7, 5e-7
-    np.testing.assert_array_equal(peaks_after(np.array([turn]), error, RATE), [3e-7])
-    error = np.zeros(len(trajectory.position_m))
-    error[waits[0][0] + 41] = 6e-8
-    error[waits[1][0] : waits[1][1]] = 6e-8
-    times = settling_times(trajectory, error, 5e-8)
-    np.testing.assert_allclose(times, [42 / RATE, (waits[1][1] - waits[1][0]) / RATE])
-    assert not settling_times(trajectory, error, 7e-8).any()
-
-
-def test_contour_error_is_the_distance_from_the_circle(compensated: Machine) -> None:
-    scenario = make_scenario(compensated, "circle", 1.0, truth_of(compensated))
-    (x, _), (y, _) = scenario.axes
-    angle = np.arctan2(y.position_m - 5e-3, x.position_m)
-    zero = np.zeros(len(angle))
-    runs = [_run(trajectory, 1e-6 * wave) for trajectory, wave in ((x, np.cos(angle)), (y, np.sin(angle)))]
-    np.testing.assert_allclose(contour_error(*runs), 1e-6, atol=1e-9)
-    # Along the circle there is no contour error.
-    runs = [_run(t, 1e-6 * wave) for t, wave in ((x, -np.sin(angle)), (y, np.cos(angle)))]
-    assert np.abs(contour_error(*runs)).max() < 1e-9
-    assert len(measure_contour(_run(x, zero), _run(y, zero)).peaks_m) == 3
-
-
-def _run(trajectory: Trajectory, error: Array) -> Any:
-    from sgms_bench.compensation.tracking import AxisRun
-
-    return AxisRun(trajectory, error, np.zeros(len(error)), np.zeros(len(error)), None)
-
-
-def test_set_point_ahead_is_the_references_own() -> None:
-    time = np.arange(2000) / RATE
-    trajectory = Trajectory("wave", RATE, 1e-3 * np.sin(30.0 * time))
-    velocity, acceleration = set_point_ahead(trajectory, 3e-4)
-    expected = 1e-3 * (np.sin(30.0 * (time + 3e-4)) - np.sin(30.0 * time)) / 3e-4
-    np.testing.assert_allclose(velocity[:-10], expected[:-10], atol=1e-6)
-    np.testing.assert_allclose(acceleration[10:-10], -0.9 * np.sin(30.0 * (time + 3e-4))[10:-10], atol=1e-4)
-
-
-# --- the command ------------------------------------------------------------------------------------------------
-
-
-def test_command_prints_one_table_and_writes_figures(tmp_path: Path, compensated: Machine) -> None:
-    out = tmp_path / "plots"
-    options = ["--trajectory", "circle", "--duration", "1"]
-    shown = json.loads(done("compensate", "etel_xy_compensation", *options, "--out", out, "--json").stdout)
-    rows = {(row["trajectory"], row["compensation"]): row for row in shown["rows"]}
-    assert {method for _, method in rows} == {NONE, STATIC, EKF, MHE, TRUE}
-    assert rows["circle, x", MHE]["of none"] < 0.2
-    assert {path.name for path in out.iterdir()} == {
-        *(f"{name}.{suffix}" for name in ("reversal", "parameters", "circle") for suffix in ("png", "svg")),
-        "compensation.json",
-        "compensation.txt",
-    }
-    assert json.loads((out / "compensation.json").read_text()) == shown
-    text = done("compensate", "etel_xy_compensation", *options).stdout
-    assert text == (out / "compensation.txt").read_text(), "the same run gives the same numbers"
-    assert "30 %" in done("compensate", "--help").stdout
-    assert "a machine file that exists" in refused("compensate", "no such")
-
-
-def test_figures_are_the_same_bytes_again(tmp_path: Path) -> None:
-    for suffix, start in (("png", b"\x89PNG"), ("svg", b"<?xml")):
-        written_bytes = []
-        for k in range(2):
-            figure = Figure()
-            figure.subplots().plot([0.0, 1.0], [k * 0.0, 1.0], label="line")
-            save_figure(tmp_path / f"{k}.{suffix}", figure)
-            written_bytes.append((tmp_path / f"{k}.{suffix}").read_bytes())
-        assert written_bytes[0] == written_bytes[1]
-        assert written_bytes[0].startswith(start)
-
-
-def test_scenarios_are_whole_periods(compensated: Machine) -> None:
-    truth = truth_of(compensated)
-    step = make_scenario(compensated, "step_and_settle", 3.0, truth).axes[0][0]
-    period = make_trajectory("step_and_settle", RATE)
-    assert len(step.position_m) == 2 * len(period.position_m)
-    assert step.position_m[-1] == period.position_m[-1]
-    with pytest.raises(InputError, match="trajectory"):
-        make_scenario(compensated, "spiral", 3.0, truth)
-    mirrored: Mapping[str, float] = truth.mirror().scale
-    assert mirrored == {"coulomb": pytest.approx(0.7), "viscous": pytest.approx(0.7), "stiffness": pytest.approx(1.3)}

@@ -146,17 +146,3 @@ def test_what_nothing_uses_in_c_is_found() -> None:
         "sgms_math.h": "static inline int sgms_unused(int a);\n",
     }
     assert unused_c(files, "axis.h") == {"lonely", "table"}
-
-
-def test_what_nothing_uses_is_found(tmp_path: Path) -> None:
-    (tmp_path / "one.py").write_text(
-        '"""Docstrings use nothing: lonely, LIMIT."""\n'
-        "import click\nLIMIT = 3\nused_by_template = 1\nFACTOR: float = 2.0\n"
-        "class Thing:\n    @property\n    def size(self): return FACTOR\n    def weight(self): return self.size\n"
-        "@click.command()\ndef command(): pass\n"
-        "def lonely(): pass\n"
-    )
-    (tmp_path / "__init__.py").write_text("from one import lonely, Thing\n")
-    (tmp_path / "two.py").write_text("from one import Thing\n")
-    (tmp_path / "page.jinja").write_text("{{ used_by_template }}")
-    assert unused((tmp_path,), tmp_path) == {"LIMIT", "lonely", "weight"}

@@ -14,6 +14,7 @@ import pytest
 
 from cli_cases import done, files, refused
 from diagnosis_cases import explained
+from record_cases import simulate_log
 from sgms_mhe.commands.diagnose import _text
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import diagnose
@@ -21,23 +22,16 @@ from sgms_mhe.diagnosis.criteria import ProgressReport
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import Trajectory, make_trajectory
+from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.logs import write_log
 
 RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
 
 
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("etel_xy")
-
-
 def write_record(
     path: Path, machine: Machine, hidden: tuple[str, Mapping[str, float]], seconds: float, seed: int
 ) -> Path:
-    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=seconds)
-    run = simulate_axis(machine, trajectory, AxisConfig(seed=seed), hidden_effects=[hidden], truth=False)
-    write_log(path, run.log)
+    write_log(path, simulate_log(machine, hidden, seconds=seconds, seed=seed))
     return path
 
 

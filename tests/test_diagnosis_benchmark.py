@@ -20,7 +20,6 @@ from sgms_bench.diagnosis.scoring import (
     outcome,
     parameter_errors,
 )
-from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import verdict
 from sgms_mhe.diagnosis.fits import fit_model
 from sgms_mhe.diagnosis.rivals import Selection
@@ -28,11 +27,6 @@ from sgms_mhe.diagnosis.selection import Searched
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.errors import ImplausibleError
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("etel_xy")
 
 
 def drawn(kind: str, *names: str, size: float = 0.2) -> Draw:

@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import done, refused
+from record_cases import simulate_log, slow_axis
 from sgms_bench.diagnosis.axes import DrawnAxis
 from sgms_bench.diagnosis.causes import Hidden
 from sgms_bench.diagnosis.draws import Draw, machine_of, simulate_draw
@@ -33,8 +34,6 @@ from sgms_mhe.diagnosis.selection import Searched, select_causes
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.excerpt import make_excerpt
@@ -56,17 +55,14 @@ def quick() -> Machine:
 
 
 @pytest.fixture(scope="module")
-def slow(quick: Machine) -> Machine:
+def slow() -> Machine:
     """The same axis where only every tenth sample is logged."""
-    return override_machine(quick, {"sampling": {"rate": 1000.0, "velocity_cutoff": 100.0}})
+    return slow_axis()
 
 
 def recorded(machine: Machine, hidden: Effects = (), path: Trajectory | None = None, **options: Any) -> Log:
     """What a controller at 10 kHz logs."""
-    path = path or make_trajectory("mixed", machine.sampling.rate, duration_s=SECONDS, max_velocity=0.3)
-    scale = options.pop("scale", {})
-    config = AxisConfig(seed=1, **options)
-    return simulate_axis(machine, path, config, hidden_effects=hidden, scale=scale, truth=False).log
+    return simulate_log(machine, *hidden, path=path or "mixed", seconds=SECONDS, fastest=0.3, seed=1, **options)
 
 
 def every_tenth(log: Log) -> Log:
@@ -151,10 +147,12 @@ def test_interval_knows_that_the_axis_switches(quick: Machine) -> None:
 # --- low rate, gaps, saturation ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_tenth_of_the_samples_is_enough(slow: Machine, rippled: Log) -> None:
     assert_finds_the_ripple(diagnose(slow, rippled))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.3, 1.0])
 def test_clean_record_at_a_low_rate_names_nothing(quick: Machine, slow: Machine, speed: float) -> None:
     # The second difference of sparse samples loses a share of a hard acceleration: that is no cause.
@@ -189,12 +187,14 @@ def test_saturated_measurement_is_left_out(slow: Machine, rippled: Log) -> None:
     assert any("saturated" in warning for warning in diagnosis.warnings)
 
 
+@pytest.mark.slow
 def test_saturated_drive_is_no_cause(quick: Machine, slow: Machine, rippled: Log) -> None:
     # The axis does not follow its reference then; what it does is measured all the same.
     limit = 0.4 * float(np.abs(rippled.force_N).max())
     assert_finds_the_ripple(diagnose(slow, every_tenth(recorded(quick, [("force_ripple", RIPPLE)], max_force_N=limit))))
 
 
+@pytest.mark.slow
 def test_a_force_that_is_held_is_no_resonance(quick: Machine) -> None:
     """A drive of 1 kHz: its force acts half a sample later, by the mean of two; what that leaves has no mass."""
     sampling = {"rate": 1000.0, "update_rate": 50.0, "velocity_cutoff": 100.0}
@@ -207,8 +207,8 @@ def test_a_force_that_is_held_is_no_resonance(quick: Machine) -> None:
     assert diagnosis.causes[0].parameters["amplitude_N"] == pytest.approx(1.5, rel=0.03)
 
 
-@pytest.mark.parametrize("law", ["sgms", "maxwell_slip"])
-def test_a_force_that_is_held_is_no_delay(law: str) -> None:
+@pytest.mark.slow
+def test_a_force_that_is_held_is_no_delay() -> None:
     """A clean log at 1 kHz: what the drive's force is old by is of the sampling, which is said and not named."""
     axis = load_machine("emps")
     path = Motion(axis.sampling.rate)
@@ -217,23 +217,23 @@ def test_a_force_that_is_held_is_no_delay(law: str) -> None:
         for target in (to, 0.0):
             path.move_to(target, speed, 1.0, 40.0)
             path.wait(0.1)
-    clean = recorded(axis, path=path.trajectory("strokes"), law=law)
+    clean = recorded(axis, path=path.trajectory("strokes"))
     diagnosis = diagnose(axis, clean)
     assert names(diagnosis) == set(), diagnosis.summary
-    # An element that switches lets go within a sample, which no model of that rate follows.
-    assert diagnosis.verdict in ({"adequate"} if law == "sgms" else {"adequate", "unexplained"})
+    assert diagnosis.verdict == "adequate"
     assert [w for w in diagnosis.warnings if "samples" in w and "older than the position" in w], diagnosis.warnings
     # A delay of more than that is one.
-    late = diagnose(axis, recorded(axis, [("force_delay", {"delay_s": 2e-3})], path.trajectory("strokes"), law=law))
+    late = diagnose(axis, recorded(axis, [("force_delay", {"delay_s": 2e-3})], path.trajectory("strokes")))
     assert names(late) == {"force_delay"}, late.summary
     delay = late.causes[0]
     assert abs(delay.parameters["delay_s"] - 2e-3) < 2.0 * delay.std["delay_s"]
     # A command that the drive obeys within the sample is none either.
-    young = diagnose(axis, recorded(axis, [("force_delay", {"delay_s": -8e-4})], path.trajectory("strokes"), law=law))
+    young = diagnose(axis, recorded(axis, [("force_delay", {"delay_s": -8e-4})], path.trajectory("strokes")))
     assert names(young) == set(), young.summary
     assert [w for w in young.warnings if "samples" in w and "younger than the position" in w], young.warnings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "other"),
     [
@@ -265,6 +265,7 @@ def presliding(rate: float) -> Trajectory:
     return motion.trajectory("presliding")
 
 
+@pytest.mark.slow
 def test_presliding_alone(quick: Machine) -> None:
     path = presliding(quick.sampling.rate)
     clean = diagnose(quick, recorded(quick, path=path))
@@ -301,6 +302,7 @@ def test_record_without_motion_says_so(quick: Machine, rest: str) -> None:
     assert diagnosis.verdict == ("adequate" if rest in ("held", "dead") else "unexplained")
 
 
+@pytest.mark.slow
 def test_a_record_of_one_speed_is_no_record_without_motion(quick: Machine) -> None:
     """Friction does not change, but every element slips."""
     rate = quick.sampling.rate
@@ -341,6 +343,7 @@ print(len(recording.time), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
+@pytest.mark.slow
 def test_memory_grows_with_the_log_alone(quick: Machine, tmp_path: Path) -> None:
     # Twelve times as much data: what grows is a few columns per sample, not the model's derivatives or states.
     path = make_trajectory("mixed", quick.sampling.rate, duration_s=5.0)
@@ -391,12 +394,12 @@ def test_excerpt_is_spread_over_the_record(slow: Machine, rippled: Log, long: Lo
     np.testing.assert_array_equal(part.held_out[part.block[part.used]], held)
 
 
-@pytest.mark.parametrize("law", ["sgms", "maxwell_slip"])
-def test_pieces_of_a_long_record_do_not_begin_where_elements_remember(slow: Machine, law: str) -> None:
+@pytest.mark.slow
+def test_pieces_of_a_long_record_do_not_begin_where_elements_remember(slow: Machine) -> None:
     """Loops below break-away forget nothing, whatever their way: what was before them would look like an effect."""
     axis = load_machine("etel_xy")
     path = make_plan(axis, ("position_spring", "constant_offset")).trajectory
-    log = every_tenth(recorded(axis, path=path, law=law))
+    log = every_tenth(recorded(axis, path=path))
     assert log.time_s[-1] > slow.diagnosis.fitted_time
     diagnosis = diagnose(slow, log)
     assert diagnosis.verdict == "adequate", diagnosis.summary
@@ -440,6 +443,7 @@ def test_rows_until_a_motion_has_covered_an_extent() -> None:
     assert count_spanning(to_and_fro, 0.9) == 2
 
 
+@pytest.mark.slow
 def test_work_on_a_long_record_is_bounded(slow: Machine, long: Log) -> None:
     # Models are fitted to as much of it as of a minute, and run along all of it a few times.
     runs: list[int] = []
@@ -489,6 +493,7 @@ def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machin
     assert not imitates(gap, 2.7, group=ParameterGroup.candidate("backlash", 0))
 
 
+@pytest.mark.slow
 def test_the_difference_of_the_laws_is_no_wrong_number(quick: Machine) -> None:
     """Where either law fits, the one stands that needs fewer wrong numbers: by the other one a Stribeck effect goes."""
     draw = Draw(
@@ -544,6 +549,7 @@ def test_a_cause_without_which_no_model_is_finite_has_no_rivals(
     assert contest.better is None and not contest.rivals and not contest.rejected
 
 
+@pytest.mark.slow
 def test_an_effect_without_a_finite_model_is_left_out_and_said_to_be(
     slow: Machine, rippled: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:

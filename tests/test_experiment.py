@@ -2,52 +2,23 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from sgms_bench.experiment import figures
-from sgms_bench.experiment.running import PAPER_WEIGHTS, PAPER_WEIGHTS_EKF, TRUE_STIFFNESS, papers, run_experiment
+from sgms_bench.experiment.running import PAPER_WEIGHTS, PAPER_WEIGHTS_EKF, TRUE_STIFFNESS, papers
 from sgms_bench.records import Record, coverage, friction_rms, run_estimator, simulate_record, smoothness
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion
-from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.tables import CsvTable
 
 
 @pytest.fixture(scope="module")
 def record() -> Record:
     return simulate_record(load_machine("etel_xy"), TRUE_STIFFNESS, duration_s=10.0)
-
-
-@pytest.mark.slow
-def test_experiment_writes_figures_tables_and_data(tmp_path: Path) -> None:
-    steps: list[tuple[int, int]] = []
-    experiment = run_experiment(
-        load_machine("etel_xy"), tmp_path / "new", lambda done, total: steps.append((done, total)), duration_s=2.0
-    )
-    assert steps == [(k + 1, steps[-1][1]) for k in range(steps[-1][1])]
-    assert {path.stem for path in experiment.figures} == {
-        "fig3_hysteresis",
-        "fig6_signals",
-        "fig7_friction",
-        "fig8_stiffness",
-        "fig8_stiffness_paper",
-    }
-    for path in experiment.figures:
-        assert path.read_bytes().startswith(b"\x89PNG")
-    names = [row["estimator"] for row in experiment.tables[0].rows]
-    assert names == ["MHE, C", "EKF, C", "MHE, reference", "batch smoother"]
-    written = json.loads((tmp_path / "new" / "experiment.json").read_text())
-    assert [row["estimator"] for row in written["tables"][0]["rows"]] == names
-    assert (tmp_path / "new" / "experiment.txt").read_text() == f"{experiment}\n"
-    compiled, reference = (experiment.outcomes[name].estimates for name in ("MHE, C", "MHE, reference"))
-    np.testing.assert_allclose(compiled.parameters, reference.parameters, rtol=1e-8)
 
 
 def test_default_weights_find_the_stiffness(record: Record) -> None:
@@ -102,17 +73,6 @@ def friction_at(machine: Machine, position_m: float, inner: tuple[float, ...]) -
     run = simulate_axis(machine, path, AxisConfig(control="prescribed", encoder_resolution_m=0.0, force_noise_N=0.0))
     assert run.truth is not None
     return float(run.truth.friction_N[np.flatnonzero(path.position_m < position_m)[-1]])
-
-
-def test_experiment_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
-    machine = override_machine(load_machine("etel_xy"), {"estimator": {"parameters": ["coulomb"], "bounds": {}}})
-    with pytest.raises(InputError, match=r"estimator\.parameters"):
-        run_experiment(machine, tmp_path)
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    with pytest.raises(InputError, match="output folder"):
-        run_experiment(load_machine("etel_xy"), blocked / "out")
-    assert not [path for path in tmp_path.iterdir() if path != blocked]
 
 
 def test_tables_align_and_leave_what_is_absent_empty() -> None:

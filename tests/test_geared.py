@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from package_variants import GEARED
+from record_cases import simulate_log
 from sgms_bench.diagnosis.causes import Hidden, prescribed_signals
 from sgms_bench.diagnosis.visibility import sensitivities, visible_share
 from sgms_mhe.configuration import load_machine, make_machine, override_machine
@@ -21,9 +22,7 @@ from sgms_mhe.evaluation.comparison import compare_signals
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition, effect_names
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
+from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.support.errors import InputError
@@ -145,8 +144,7 @@ def test_c_is_the_reference(changes: dict[str, Any]) -> None:
     parameters = ["stiffness", "unbalance.amplitude_Nm", "load_dependent_friction.ratio"]
     estimator = {"parameters": parameters, "bounds": {}, "horizon": 4, **changes.get("estimator", {})}
     machine = with_effects(load_machine("etel_xy_rotary"), *GEARED, **{**changes, "estimator": estimator})
-    path = make_trajectory("mixed", machine.sampling.rate, duration_s=0.8)
-    log = simulate_axis(machine, path, AxisConfig(seed=3), scale={"stiffness": 1.2}, truth=False).log
+    log = simulate_log(machine, seconds=0.8, scale={"stiffness": 1.2}, seed=3)
     comparison = compare_signals(machine, signals_from_log(log, machine))
     assert comparison.agrees, comparison
     assert "unbalance.amplitude_Nm" in {quantity.name for quantity in comparison.quantities}
@@ -260,9 +258,8 @@ def exercise() -> Trajectory:
 
 
 def diagnosed(machine: Machine, law: Law, motion: Trajectory, name: str, hidden: dict[str, float]) -> Diagnosis:
-    config = AxisConfig(law=law, seed=3, force_noise_N=0.05, encoder_resolution_m=1e-6, bandwidth_Hz=15.0)
-    log = simulate_axis(machine, motion, config, hidden_effects=[(name, hidden)], truth=False).log
-    return diagnose(machine, log)
+    config: dict[str, Any] = {"law": law, "seed": 3, "force_noise_N": 0.05, "encoder_resolution_m": 1e-6}
+    return diagnose(machine, simulate_log(machine, (name, hidden), path=motion, bandwidth_Hz=15.0, **config))
 
 
 HIDDEN: dict[str, dict[str, float]] = {
@@ -273,7 +270,7 @@ HIDDEN: dict[str, dict[str, float]] = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "law"), zip(HIDDEN, ("sgms", "maxwell_slip", "maxwell_slip"), strict=True))
+@pytest.mark.parametrize(("name", "law"), list(zip(HIDDEN, ("sgms", "maxwell_slip", "maxwell_slip"), strict=True)))
 def test_a_diagnosis_finds_it_and_its_size(name: str, law: Law) -> None:
     """On the smooth law and on the one that switches, model and plant alike."""
     diagnosis = diagnosed(joint(law), law, exercise(), name, HIDDEN[name])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from record_cases import simulate_log, slow_axis
 from sgms_mhe.configuration import load_machine, override_machine, switch_law
 from sgms_mhe.diagnosis import alignment
 from sgms_mhe.diagnosis.alignment import decimate, find_step_error, halve_steps
@@ -34,8 +35,7 @@ EFFECTS = ("constant_offset", "hose_hysteresis")
 
 @pytest.fixture(scope="module")
 def slow() -> Machine:
-    sampling = {"rate": RATE, "velocity_cutoff": 100.0}
-    return override_machine(load_machine("etel_xy"), {"sampling": sampling})
+    return slow_axis()
 
 
 def simulated(machine: Machine, **options: object) -> SimulatedRun:
@@ -127,9 +127,7 @@ def test_a_velocity_at_the_instants_becomes_the_mean_over_the_sample(slow: Machi
 def test_any_measurement_rate_can_be_thinned() -> None:
     """Readings are none of a search's business; a file that states their rate was refused there."""
     machine = override_machine(load_machine("etel_xy"), {"sampling": {"measurement_rate": 500.0}})
-    path = make_trajectory("mixed", machine.sampling.rate, duration_s=3.0, max_velocity=0.3)
-    log = simulate_axis(machine, path, AxisConfig(seed=1), truth=False).log
-    thin = decimate(Subject.of(machine, prepare(machine, log)))
+    thin = decimate(Subject.of(machine, prepare(machine, simulate_log(machine, seconds=3.0, fastest=0.3, seed=1))))
     assert thin.machine.sampling.rate == RATE
 
 
@@ -139,8 +137,7 @@ def test_steps_of_a_microsecond_are_short_enough() -> None:
     machine = override_machine(load_machine("etel_xy"), {"sampling": sampling})
     path = Motion(machine.sampling.rate)
     path.move_to(0.02, 0.2, 10.0, 1e4)
-    config = AxisConfig(control="prescribed", seed=1)
-    log = simulate_axis(machine, path.trajectory("stroke"), config, truth=False).log
+    log = simulate_log(machine, path=path.trajectory("stroke"), control="prescribed", seed=1)
     subject = Subject.of(machine, prepare(machine, log))
     assert not find_step_error(subject, fit_model(subject, (), refitted=())).any()
 
@@ -202,8 +199,7 @@ def test_an_effect_that_ends_a_search_is_left_out_of_the_next(monkeypatch: pytes
 
 def test_a_model_diverges_whatever_was_taken_off_the_measured_friction() -> None:
     machine = load_machine("etel_xy")
-    log = simulate_axis(machine, make_trajectory("mixed", machine.sampling.rate, duration_s=3.0), truth=False).log
-    recording = prepare(machine, log)
+    recording = prepare(machine, simulate_log(machine, seconds=3.0))
     edge = np.array([0.999 * UNSTABLE * recording.largest_friction])
     less = replace(recording, friction=0.9 * recording.friction)
     assert not diverges(recording, edge)

@@ -19,9 +19,9 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import done
+from record_cases import simulate_log, slow_axis
 from sgms_bench.studies.identification import draw_axis
 from sgms_mhe import read_log
-from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.identification import Identification, Wanted, identify
 from sgms_mhe.identification.companions import is_possible
@@ -31,8 +31,6 @@ from sgms_mhe.identification.fits import AxisFit, covariance, quantities
 from sgms_mhe.identification.identify import explore
 from sgms_mhe.identification.terms import Term
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
 
@@ -49,7 +47,7 @@ CURVES: dict[str, Curve] = {
 
 @cache
 def machine() -> Machine:
-    return override_machine(load_machine("etel_xy"), {"sampling": {"rate": 1000.0, "velocity_cutoff": 100.0}})
+    return slow_axis()
 
 
 @cache
@@ -57,8 +55,8 @@ def log(curve: str, seed: int = 2) -> Log:
     """Return the log of an axis with more friction over speed than a machine file has numbers for."""
     axis = machine()
     path = make_trajectory("mixed", axis.sampling.rate, duration_s=10.0, max_velocity=0.4)
-    run = simulate_axis(axis, path, AxisConfig(seed=seed, force_noise_N=0.05), truth=False)
-    return replace(run.log, force_N=run.log.force_N + CURVES[curve](path.velocity_m_s))
+    clean = simulate_log(axis, path=path, seed=seed, force_noise_N=0.05)
+    return replace(clean, force_N=clean.force_N + CURVES[curve](path.velocity_m_s))
 
 
 @cache

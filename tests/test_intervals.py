@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from record_cases import simulate_log
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis.causes import measure_causes
@@ -18,8 +19,6 @@ from sgms_mhe.diagnosis.laws import make_laws
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.recordings.evidence import (
     ALONE,
     cross_loss,
@@ -137,11 +136,11 @@ def test_numbers_scatter_as_the_spectrum_of_the_residual_says(colour: float, lea
 def test_errors_that_a_noise_floor_may_hide_widen_an_interval(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = load_machine("etel_xy")
     motion = draw_motion("strokes", machine, 4.0, np.random.default_rng(2))
-    run = simulate_axis(machine, motion, AxisConfig(force_noise_N=0.1, seed=2))
+    log = simulate_log(machine, path=motion, seed=2)
     widths = []
     for unseen in (0.0, 0.15, 0.3):
         monkeypatch.setattr("sgms_mhe.diagnosis.uncertainty.UNSEEN_ERROR", unseen)
-        recording = prepare(machine, run.log)
+        recording = prepare(machine, log)
         subject = Subject.of(machine, recording)
         fit = fit_model(subject, ())
         # A floor at the residual's own RMS: nothing is seen beyond it.
@@ -157,7 +156,7 @@ def test_derivatives_that_have_run_away_promise_nothing() -> None:
     """As of a gap that opens a hundred times along a short way: intervals were a 500th of the error."""
     machine = load_machine("etel_xy")
     motion = draw_motion("loops", machine, 4.0, np.random.default_rng(2))
-    recording = prepare(machine, simulate_axis(machine, motion, AxisConfig(force_noise_N=0.1, seed=2)).log)
+    recording = prepare(machine, simulate_log(machine, path=motion, seed=2))
     subject = Subject.of(machine, recording)
     fit = fit_model(subject, ())
     slopes = fit.jacobian.copy()
@@ -171,10 +170,8 @@ def test_a_gap_is_as_long_as_it_is_found(gap: float, seed: int, style: str) -> N
     """Against the plant's, which opens and closes at once. It was 6 and 7 % too long."""
     machine = load_machine("etel_xy")
     motion = draw_motion(style, machine, 5.0, np.random.default_rng(seed))
-    run = simulate_axis(
-        machine, motion, AxisConfig(force_noise_N=0.02, seed=1), hidden_effects=[("backlash", {"gap_m": gap})]
-    )
-    subject = Subject.of(machine, prepare(machine, run.log))
+    log = simulate_log(machine, ("backlash", {"gap_m": gap}), path=motion, force_noise_N=0.02, seed=1)
+    subject = Subject.of(machine, prepare(machine, log))
     found = fit_model(subject, [CandidateEffect("backlash", {"gap_m": 1.1 * gap})], refitted=())
     assert found.effects[0].parameters["gap_m"] == pytest.approx(gap, rel=0.05)
 
@@ -182,7 +179,7 @@ def test_a_gap_is_as_long_as_it_is_found(gap: float, seed: int, style: str) -> N
 def test_a_number_that_a_bound_stops_has_no_interval() -> None:
     """A force later than any drive's: the search ends at the longest delay, which is not the axis's."""
     machine = load_machine("etel_xy")
-    log = simulate_axis(machine, draw_motion("strokes", machine, 3.0, np.random.default_rng(2)), AxisConfig(seed=2)).log
+    log = simulate_log(machine, path=draw_motion("strokes", machine, 3.0, np.random.default_rng(2)), seed=2)
     late = int(0.15 * log.rate)
     shifted = replace(log, force_N=np.concatenate((np.full(late, log.force_N[0]), log.force_N[:-late])))
     recording = prepare(machine, shifted)
@@ -201,7 +198,7 @@ def test_intervals_do_not_hang_on_the_size_of_the_files_numbers() -> None:
     """Of a stiffness far below the file's every slope is large: rows that count were left out."""
     file = override_machine(load_machine("etel_xy"), {"friction": {"law": "switching"}})
     motion = draw_motion("loops", file, 4.0, np.random.default_rng(2))
-    log = simulate_axis(file, motion, AxisConfig(force_noise_N=0.1, seed=2)).log
+    log = simulate_log(file, path=motion, seed=2)
     stiffness = file.friction.stiffness
     stated = []
     for factor in (1.0, 1e5):

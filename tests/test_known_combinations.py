@@ -10,15 +10,12 @@ from dataclasses import replace
 import pytest
 
 from diagnosis_cases import explained
-from sgms_mhe.configuration import load_machine
+from record_cases import simulate_log
 from sgms_mhe.diagnosis.combinations import KnownCombination, find_combinations
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import prepare
 
@@ -26,18 +23,11 @@ RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
 OFFSET = {"force_N": 0.4}
 
 
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("etel_xy")
-
-
 def fit_hidden(
     machine: Machine, hidden: Sequence[tuple[str, Mapping[str, float]]], tried: Mapping[str, Mapping[str, float]]
 ) -> tuple[Subject, Fit]:
     """Fit of effects to a simulated record with every number of the machine free."""
-    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
-    log = simulate_axis(machine, trajectory, AxisConfig(seed=4), hidden_effects=hidden, truth=False).log
-    subject = Subject.of(machine, prepare(machine, log))
+    subject = Subject.of(machine, prepare(machine, simulate_log(machine, *hidden, seconds=6.0, seed=4)))
     effects = [CandidateEffect(name, values) for name, values in tried.items()]
     fit = fit_model(subject, effects)
     return replace(subject, noise=noise_floor(subject.recording, fit.residual)), fit

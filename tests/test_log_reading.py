@@ -16,14 +16,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cli_cases import refused, run
+from record_cases import simulate_log
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.logfiles.decimals import told_by, value_of
 from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.reading import LogContent, read_log, understand
 from sgms_mhe.machine import Machine, normal_unit
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.errors import InputError
 
@@ -419,8 +417,7 @@ def test_a_damaged_container_is_refused(suffix: str, library: str, content: byte
 def uneven(machine: Machine, jitter: float, seed: int = 3) -> tuple[Log, Log]:
     """(a log at uneven instants, mean rate 1 kHz, drawn from one at 10 kHz; that one)."""
     fast = override_machine(machine, {"sampling": {"rate": 10000.0}})
-    path = make_trajectory("mixed", 10000.0, max_velocity=0.05, duration_s=3.0)
-    dense = simulate_axis(fast, path, AxisConfig(seed=1, force_noise_N=0.01), truth=False).log
+    dense = simulate_log(fast, seconds=3.0, fastest=0.05, seed=1, force_noise_N=0.01)
     random = np.random.default_rng(seed)
     steps = 10 + np.round(10 * jitter * random.uniform(-1, 1, size=2900)).astype(int)
     at = np.cumsum(steps)
@@ -485,8 +482,7 @@ def test_even_time_is_left_alone(machine: Machine, tmp_path: Path) -> None:
 
 
 def simulated(machine: Machine) -> Log:
-    path = make_trajectory("mixed", 1000.0, max_velocity=0.05, duration_s=3.0)
-    return simulate_axis(machine, path, AxisConfig(seed=1), truth=False).log
+    return simulate_log(machine, seconds=3.0, fastest=0.05, seed=1)
 
 
 def test_inspect_shows_what_was_understood(machine: Machine, small: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sgms_bench.verification import mutation
-from sgms_bench.verification.faults import FAULTS, Fault
+from sgms_bench.verification.faults import FAULTS
 from sgms_bench.verification.mutants import STATEMENT_KINDS, draw_statements
 from sgms_bench.verification.mutation import (
     REPLAYED,
@@ -57,24 +57,18 @@ def test_fault_without_effect_counts_for_nothing(package: Package, campaign: Cam
     assert campaign.judge({**package.files, "etel_xy.c": other_text}) is Verdict.MISSED
 
 
-@pytest.mark.parametrize("fault", FAULTS[::10], ids=lambda fault: fault.what)
-def test_fault_is_noticed(fault: Fault, package: Package, campaign: Campaign, require_tool: Tool) -> None:
-    require_tool("gcc")
-    assert campaign.judge(fault.spoil(dict(package.files), "etel_xy")) is Verdict.NOTICED
-
-
 @pytest.mark.slow
 def test_faults_are_noticed(require_tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
     """All faults by hand, and mutants: as many of these few as chance lets be of the many that `make verify` draws."""
     require_tool("gcc")
     monkeypatch.setattr(mutation, "specimens", lambda: map(specimen, ("ekf", "switching")))
-    by_hand, *of_classes = check_self_test(36, 7, lambda _: None)
+    by_hand, *of_classes = check_self_test(18, 7, print)
     assert by_hand.failures == () and by_hand.tried.startswith(f"{len(FAULTS)} faults, {len(FAULTS)} noticed")
     # Not noticed by any judge: a few in a hundred, and what chance adds.
     for at_random, together in (of_classes[:2], of_classes[2:]):
         counted, noticed = map(int, re.findall(r"(\d+) (?:mutants|noticed)", at_random.tried))
         assert noticed > 0.8 * counted - 2.0 * math.sqrt(0.8 * 0.2 * counted), at_random.failures
-        assert re.match(rf"{counted} mutants that are not equivalent, ", together.tried) and len(together.failures) <= 4
+        assert re.match(rf"{counted} mutants that are not equivalent, ", together.tried) and len(together.failures) <= 2
 
 
 @pytest.mark.slow

@@ -9,12 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from record_cases import simulate_log, slow_axis
 from sgms_bench.diagnosis.unmodelled import UNMODELLED
-from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import write_report
 
 NAMELESS = "uncertain, or not the same all over the record: no cause, but it predicts unseen data"
@@ -23,10 +20,8 @@ NAMELESS = "uncertain, or not the same all over the record: no cause, but it pre
 @cache
 def diagnose_with(name: str) -> Diagnosis:
     """Diagnose an axis with an offset of 1 N and a force of the same size that is none of the catalogue's."""
-    axis = override_machine(load_machine("etel_xy"), {"sampling": {"rate": 1000.0, "velocity_cutoff": 100.0}})
-    path = make_trajectory("mixed", axis.sampling.rate, duration_s=12.0, max_velocity=0.4)
-    config = AxisConfig(seed=2, force_noise_N=0.05)
-    log = simulate_axis(axis, path, config, hidden_effects=[("constant_offset", {"force_N": 1.0})]).log
+    axis, offset = slow_axis(), ("constant_offset", {"force_N": 1.0})
+    log = simulate_log(axis, offset, seconds=12.0, fastest=0.4, seed=2, force_noise_N=0.05)
     velocity = np.gradient(log.position_m, 1.0 / log.rate)
     force = UNMODELLED[name](np.random.default_rng(5), log.time_s, log.position_m, velocity)
     return diagnose(axis, replace(log, force_N=log.force_N + force / np.sqrt(np.mean(force**2))))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from record_cases import simulate_log
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.alignment import find_sampling_columns
@@ -29,9 +29,6 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.motion import Extents
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.evidence import gain_force, noise_floor
 from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
 from sgms_mhe.signals.chain import apply_chain, signals_from_log
@@ -54,9 +51,7 @@ def machine() -> Machine:
 def clean(hidden: tuple[str, ...]) -> Log:
     """Every fifth sample of a controller at 10 kHz, whose encoder has no noise."""
     controller = load_machine("etel_xy")
-    path = make_trajectory("mixed", controller.sampling.rate, duration_s=8.0, max_velocity=0.3)
-    effects: Sequence[tuple[str, Mapping[str, float]]] = [(name, RESONANCE) for name in hidden]
-    log = simulate_axis(controller, path, AxisConfig(seed=1), hidden_effects=effects, truth=False).log
+    log = simulate_log(controller, *((name, RESONANCE) for name in hidden), seconds=8.0, fastest=0.3, seed=1)
     columns: dict[str, Any] = {name: np.ascontiguousarray(values[::5]) for name, values in log.columns.items()}
     return replace(log, rate=log.rate / 5.0, **columns)
 
@@ -108,6 +103,7 @@ def read_in_steps(machine: Machine, step_m: float) -> Recording:
     return add_encoder(prepare(machine, log), log)
 
 
+@pytest.mark.slow
 def test_a_mass_that_takes_a_coarse_encoders_noise_out_of_the_force_is_none(machine: Machine) -> None:
     found = diagnose(machine, coarse(machine))
     assert not found.causes
@@ -157,6 +153,7 @@ def test_the_noise_floor_knows_an_encoders_steps(machine: Machine) -> None:
     assert fit_model(subject, ()).rms == pytest.approx(floor, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_coarse_encoder_does_not_hide_a_payload(machine: Machine) -> None:
     found = diagnose(machine, coarse(machine, extra_mass=0.5 * machine.plant.moved))
     assert [cause.name for cause in found.causes] == ["mass_mismatch"]

@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -118,14 +117,6 @@ def test_measured_axis_on_a_stand_in_of_the_record(percent: ModuleType, tmp_path
     assert number(r"pitch_m = (\S+),", said) == pytest.approx(2.5e-3, rel=0.01)
     # The first half moves by two pitches, the second by 140: what the pitch is off by grows to half a ripple there.
     assert number(r"with its causes: (\S+) N", said) < 0.6 * number(r"published model: (\S+) N", said)
-
-
-@pytest.mark.slow
-def test_measured_axis_on_the_record(percent: ModuleType, measured_data: Callable[[str], Path], tmp_path: Path) -> None:
-    said = played(percent, "measured_axis", tmp_path, EMPS_RECORD=str(measured_data("emps/DATA_EMPS.mat")))
-    assert number(r"friction: (\S+) N RMS", said) == pytest.approx(2.27, abs=0.02)  # updates without a measurement too
-    assert "\nunexplained: " in said
-    assert number(r"with its causes: (\S+) N", said) < 0.7 * number(r"published model: (\S+) N", said)
 
 
 @pytest.mark.slow

@@ -16,14 +16,12 @@ import sgms_mhe
 from binding_cases import module_of
 from c_packages import written
 from cli_cases import SMALL, done, refused, run
-from record_cases import small_axis
+from record_cases import simulate_log, small_axis
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.other_record import Origin
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -54,7 +52,7 @@ def moved(
     hidden = [*effects, ("constant_offset", {"force_N": 0.2})]
     trajectory = draw_motion(style, small, seconds, np.random.default_rng(seed))
     scale = {"coulomb": 1.1, "viscous": 1.3}
-    log = simulate_axis(small, trajectory, AxisConfig(seed=seed), hidden_effects=hidden, scale=scale, truth=False).log
+    log = simulate_log(small, *hidden, path=trajectory, scale=scale, seed=seed)
     return replace(log, position_m=log.position_m + origin, source="first motion")
 
 

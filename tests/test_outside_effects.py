@@ -158,17 +158,6 @@ def diagnosed(axis: Path, folder: Path) -> tuple[dict[str, Any], Machine]:
     return cause, load_machine(folder / diagnosis["extended_machine"])
 
 
-@pytest.mark.slow
-def test_example_is_found_by_a_diagnosis(example: Path, axis: Path, tmp_path: Path) -> None:
-    cause, extended = diagnosed(axis, tmp_path)
-    parameters = cause["parameters"]
-    assert cause["name"] == NAME
-    assert parameters["force_N"] == pytest.approx(1.5, rel=0.03)
-    assert parameters["reach_m"] == pytest.approx(0.001, rel=0.03)
-    assert parameters["centre_m"] == pytest.approx(0.001, rel=0.03)
-    assert [effect.name for effect in extended.effects] == [NAME]
-
-
 LEAST = """
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation
 

@@ -15,7 +15,8 @@ import pytest
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from sgms_mhe.configuration import load_machine, override_machine
+from record_cases import simulate_log
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.alignment import decimate
 from sgms_mhe.diagnosis.fits import Subject
@@ -24,9 +25,6 @@ from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings import recording as recordings
 from sgms_mhe.recordings.recording import RUNS_CACHED, Runs, prepare
 from sgms_mhe.signals.chain import Signals
@@ -40,16 +38,8 @@ RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
 
 
 @pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("etel_xy")
-
-
-@pytest.fixture(scope="module")
 def log(machine: Machine) -> Log:
-    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=4.0)
-    return simulate_axis(
-        machine, trajectory, AxisConfig(seed=5), hidden_effects=[("force_ripple", RIPPLE)], truth=False
-    ).log
+    return simulate_log(machine, ("force_ripple", RIPPLE), seconds=4.0, seed=5)
 
 
 # --- tasks ------------------------------------------------------------------------------------------------------

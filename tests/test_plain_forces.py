@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from record_cases import simulate_log
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import models
 from sgms_mhe.diagnosis.alignment import decimate
@@ -16,9 +17,6 @@ from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.host.evaluation import Evaluation
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, cause_names, effect_definition
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.recording import Recording, prepare
 
 Array = NDArray[np.float64]
@@ -48,10 +46,7 @@ def machine(request: pytest.FixtureRequest) -> Machine:
 @pytest.fixture(scope="module")
 def recordings(machine: Machine) -> tuple[Recording, Recording]:
     """At the full rate, and thinned."""
-    log = simulate_axis(
-        machine, make_trajectory("mixed", machine.sampling.rate, duration_s=1.5), AxisConfig(seed=3), truth=False
-    ).log
-    whole = prepare(machine, log)
+    whole = prepare(machine, simulate_log(machine, seconds=1.5, seed=3))
     return whole, decimate(Subject.of(machine, whole)).recording
 
 

@@ -5,15 +5,9 @@ from __future__ import annotations
 import pytest
 
 from sgms_bench.diagnosis.planned import PlannedExperiment, run_experiment, verdict_on
-from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis.plan import LEAST_S, make_plan
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import cause
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("etel_xy")
 
 
 def test_a_plan_lasts_and_its_laps_differ(machine: Machine) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from record_cases import simulate_log
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, maps
@@ -29,8 +30,6 @@ from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.periodic_table import POINTS, periodic_spline, spline_coefficients
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.evidence import Nuisance, find_nuisance, noise_floor
 from sgms_mhe.recordings.excitation import measure_excitation
@@ -144,9 +143,7 @@ def diagnosis_of(name: str, pitch: float | None) -> tuple[float, Diagnosis]:
     machine = load_machine(name)
     moves = make_trajectory("mixed", machine.sampling.rate)
     period = pitch or float(np.ptp(moves.position_m))
-    config = AxisConfig(seed=1, force_noise_N=0.1)
-    hidden = [("position_map", {"pitch_m": period, **MAP})]
-    log = simulate_axis(machine, moves, config, hidden_effects=hidden, truth=False).log
+    log = simulate_log(machine, ("position_map", {"pitch_m": period, **MAP}), path=moves, seed=1)
     return period, diagnose(machine, log)
 
 
@@ -187,8 +184,7 @@ def test_a_period_is_found_though_no_single_sine_tells_it(
     cosines, sines = np.array(sizes) * np.cos(angles), np.array(sizes) * np.sin(angles)
     hidden = {"pitch_m": pitch, "order": orders, "sine_N": tuple(sines), "cosine_N": tuple(cosines)}
     moves = draw_motion("workout", machine, 12.0, random)
-    config = AxisConfig(seed=seed, force_noise_N=0.05)
-    log = simulate_axis(machine, moves, config, hidden_effects=[("position_map", hidden)], truth=False).log
+    log = simulate_log(machine, ("position_map", hidden), path=moves, seed=seed, force_noise_N=0.05)
     subject = decimate(Subject.of(machine, prepare(machine, log)))
     base = fit_model(subject, ())
     (found,) = search(
@@ -228,12 +224,11 @@ def test_a_map_is_stated_over_its_shortest_period() -> None:
 )
 def test_a_ripple_that_comes_again_with_a_map_belongs_to_it(share: float, named: list[str]) -> None:
     """A ripple of three periods of the map makes one map with it; one of another period stays."""
-    machine, moves = load_machine("etel_xy"), make_trajectory("mixed", 10_000.0, duration_s=8.0)
+    machine = load_machine("etel_xy")
     map_of = effect_definition("position_map").entries
     true = {"pitch_m": 0.024, "order": (1, 2), "sine_N": (0.2, 0.1), "cosine_N": (0.1, -0.1)}
     ripple = {"amplitude_N": 0.3, "pitch_m": 0.072 * share, "phase_rad": 0.7}
-    hidden: list[tuple[str, Mapping[str, Any]]] = [("position_map", true), ("force_ripple", ripple)]
-    log = simulate_axis(machine, moves, AxisConfig(seed=2), hidden_effects=hidden, truth=False).log
+    log = simulate_log(machine, ("position_map", true), ("force_ripple", ripple), seconds=8.0, seed=2)
     recording = prepare(machine, log)
     subject = Subject.of(machine, recording)
     fit = fit_model(subject, (CandidateEffect("force_ripple", ripple), CandidateEffect("position_map", map_of(true))))
@@ -257,8 +252,7 @@ def test_a_map_whose_other_sines_hardly_matter_is_ambiguous() -> None:
     machine, random = load_machine("etel_xy"), np.random.default_rng(57)
     hidden = {"pitch_m": 0.245, "order": (1, 4, 7), "sine_N": (0.053, -0.045, 0.007), "cosine_N": (-0.04, 0.0, -0.029)}
     moves = draw_motion("workout", machine, 13.5, random)
-    config = AxisConfig(seed=57, force_noise_N=0.05)
-    log = simulate_axis(machine, moves, config, hidden_effects=[("position_map", hidden)], truth=False).log
+    log = simulate_log(machine, ("position_map", hidden), path=moves, seed=57, force_noise_N=0.05)
     diagnosis = diagnose(machine, log)
     assert diagnosis.verdict == "ambiguous", diagnosis.summary
     assert diagnosis.causes[0].name == "position_map"

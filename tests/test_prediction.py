@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import done, refused
+from record_cases import simulate_log
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.prediction import ForceError, PredictedFriction, force_error, predict_log
 from sgms_mhe.logfiles.reading import read_log
@@ -38,10 +39,8 @@ def sine(frequency: float) -> NDArray[np.float64]:
 @pytest.fixture(scope="module")
 def log(small: Path) -> Path:
     machine = load_machine(small)
-    trajectory = make_trajectory("paper", machine.sampling.rate, duration_s=4.0)
-    run = simulate_axis(machine, trajectory, AxisConfig(seed=2), hidden_effects=[("step_disturbance", STEP)])
     path = small.parent / "axis.csv"
-    write_log(path, run.log)
+    write_log(path, simulate_log(machine, ("step_disturbance", STEP), path="paper", seconds=4.0, seed=2))
     return path
 
 
@@ -180,7 +179,7 @@ def test_forces_in_time_are_predicted_at_their_instant() -> None:
         found = []
         for effects in ([], [(name, parameters)]):
             axis = override_machine(machine, {"effects": [{"name": n, **p} for n, p in effects]})
-            log = simulate_axis(axis, path, AxisConfig(seed=2, force_noise_N=0.02), truth=False).log
+            log = simulate_log(axis, path=path, seed=2, force_noise_N=0.02)
             found.append(force_error(predict_log(axis, log), start_s=start_s, end_s=end_s).residual_rms_N)
         return found[1], found[0]
 

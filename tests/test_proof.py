@@ -15,10 +15,6 @@ from sgms_mhe.emission.package import Package, emit_package
 Tool = Callable[[str], str]
 
 
-def silent(_: str) -> None:
-    """No progress."""
-
-
 @pytest.fixture(scope="module")
 def package() -> Package:
     """The default package."""
@@ -29,7 +25,7 @@ def package() -> Package:
 def test_no_call_leaves_its_memory(require_tool: Tool) -> None:
     """Of the default package every call; each alarm that is left is on the list, and is still there."""
     require_tool("frama-c")
-    outcome = check_proof([load_machine("etel_xy")], silent)
+    outcome = check_proof([load_machine("etel_xy")], print)
     assert outcome.skipped is None and outcome.failures == ()
     assert outcome.tried.endswith(f"{len(ALARMS)} alarms left, with a reason each")
 
@@ -38,14 +34,14 @@ def test_no_call_leaves_its_memory(require_tool: Tool) -> None:
 @pytest.mark.parametrize("name", ["ekf", "newest", "switching", "signals"])
 def test_tick_of_other_kinds_does_not_either(name: str, require_tool: Tool) -> None:
     require_tool("frama-c")
-    assert check_proof([specimen(name)], silent, ("TICK",)).failures == ()
+    assert check_proof([specimen(name)], print, ("TICK",)).failures == ()
 
 
 @pytest.mark.slow
 def test_origin_does_not_either(require_tool: Tool) -> None:
     require_tool("frama-c")
     assert "set_origin(" in emit_package(specimen("signals"), selftest=False).files["specimen_signals.h"]
-    assert check_proof([specimen("signals")], silent, ("SET", "INSERT")).failures == ()
+    assert check_proof([specimen("signals")], print, ("SET", "INSERT")).failures == ()
 
 
 @pytest.mark.slow
@@ -54,7 +50,7 @@ def test_tables_looked_up_by_position_are_not_left_either(require_tool: Tool) ->
     require_tool("frama-c")
     package = emit_package(specimen("tables"), selftest=False)
     assert all(f"sgms_entry(table_{k}, " in package.files["specimen_tables_model.h"] for k in (1, 2))
-    outcome = check_proof([specimen("tables")], silent)
+    outcome = check_proof([specimen("tables")], print)
     assert outcome.failures == () and outcome.tried.endswith(f"{len(ALARMS)} alarms left, with a reason each")
 
 

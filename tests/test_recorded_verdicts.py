@@ -133,34 +133,6 @@ def test_every_kind_is_there() -> None:
     }  # fmt: skip
 
 
-def test_a_difference_is_seen_where_it_counts() -> None:
-    found = {
-        "verdict": "explained",
-        "causes": {"constant_offset": {"parameters": {"force_N": 0.5}, "std": {"force_N": 0.01}, "gain_N": 0.4}},
-        "rivals": ["asymmetric_coulomb"],
-    }
-
-    def with_cause(**changes: Any) -> dict[str, Any]:
-        return {**found, "causes": {"constant_offset": {**found["causes"]["constant_offset"], **changes}}}
-
-    assert not list(differences(found, with_cause(parameters={"force_N": 0.5 + 0.9 * OF_STD * 0.01})))
-    assert not list(differences(found, with_cause(gain_N=0.4 * (1.0 + 0.9 * OF_A_GAIN))))
-    for other in (
-        {**found, "verdict": "ambiguous"},
-        {**found, "causes": {}},
-        {**found, "causes": {**found["causes"], "coulomb": {}}},
-        {**found, "rivals": []},
-        with_cause(parameters={"force_N": 0.5 + 1.1 * OF_STD * 0.01}),
-        with_cause(parameters={"force_N": math.nan}),
-        with_cause(parameters={}),
-        with_cause(gain_N=0.4 * (1.0 + 1.1 * OF_A_GAIN)),
-        with_cause(std={"force_N": None}),
-        with_cause(std={"force_N": 0.01 * (1.0 + 1.1 * OF_A_STD)}),
-        {**found, "rivals": ["asymmetric_coulomb", "coulomb"]},
-    ):
-        assert len(list(differences(found, other))) == 1, other
-
-
 def update() -> None:
     """Record what is drawn and found now, and print what has changed."""
     before, after = recorded(), {}

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from record_cases import simulate_log
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion
 from sgms_mhe.recordings.excitation import clock_note, find_steady_blocks
 from sgms_mhe.recordings.recording import Recording, prepare
@@ -23,8 +22,7 @@ def record(*moves: tuple[float, float]) -> Recording:
     for way, speed in moves:
         path.move_by(way, speed, 2.0, 100.0)
     path.wait(0.2)
-    log = simulate_axis(machine, path.trajectory("moves"), AxisConfig(control="prescribed"), truth=False).log
-    return prepare(machine, log)
+    return prepare(machine, simulate_log(machine, path=path.trajectory("moves"), control="prescribed"))
 
 
 def test_one_speed_is_a_clock_where_it_is_kept() -> None:

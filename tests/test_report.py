@@ -19,13 +19,11 @@ import pytest
 
 import diagnosis_cases as cases
 from cli_cases import done
+from record_cases import simulate_log
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Alternative, BaseParameter, Cause, Diagnosis, Rms
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, cause, cause_names, effect_definition, reported_name
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import closed_loop_gain, write_report
 from sgms_mhe.report.series import MISSING, pack, since_reversal, views
 from sgms_mhe.report.units import SPACE, force, probability, quantity, split_name
@@ -40,11 +38,6 @@ CASES: dict[str, Callable[[Machine], Diagnosis]] = {
     "motionless": cases.motionless,
 }
 VOID = {"meta", "br", "img", "link", "input", "hr"}
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("etel_xy")
 
 
 @pytest.fixture
@@ -486,10 +479,7 @@ def test_numbers_in_words() -> None:
 
 def test_extended_estimator_predicts_better_where_the_effect_is(machine: Machine) -> None:
     ripple = {"amplitude_N": 0.8, "pitch_m": 0.032, "phase_rad": 0.6}
-    trajectory = make_trajectory("trapezoids", machine.sampling.rate, duration_s=5.0)
-    log = simulate_axis(
-        machine, trajectory, AxisConfig(seed=4), hidden_effects=[("force_ripple", ripple)], truth=False
-    ).log
+    log = simulate_log(machine, ("force_ripple", ripple), path="trapezoids", seconds=5.0, seed=4)
     extended = override_machine(machine, {"name": "extended", "effects": [{"name": "force_ripple", **ripple}]})
     calls: list[tuple[int, int]] = []
     gain = closed_loop_gain(machine, extended, log, progress=lambda done, total: calls.append((done, total)))
@@ -505,7 +495,5 @@ def test_extended_estimator_predicts_better_where_the_effect_is(machine: Machine
 
 
 def test_log_that_no_estimator_can_use_is_refused(machine: Machine) -> None:
-    trajectory = make_trajectory("paper", machine.sampling.rate, duration_s=0.5)
-    log = simulate_axis(machine, trajectory, AxisConfig(seed=4), truth=False).log
     with pytest.raises(InputError, match="at least one second"):
-        closed_loop_gain(machine, machine, log)
+        closed_loop_gain(machine, machine, simulate_log(machine, path="paper", seconds=0.5, seed=4))

@@ -197,11 +197,6 @@ def contrast(first: list[float], second: list[float]) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def test_contrast_is_that_of_the_guidelines() -> None:
-    assert contrast([0, 0, 0], [255, 255, 255]) == pytest.approx(21.0)
-    assert contrast([118, 118, 118], [255, 255, 255]) == pytest.approx(4.54, abs=0.01)
-
-
 @ANY_PAGE
 @EITHER_MODE
 def test_text_stands_out_from_its_ground(browser: Browser, pages: dict[str, Path], name: str, mode: Mode) -> None:
@@ -460,18 +455,3 @@ def test_a_live_page_reads_itself_anew_and_the_last_one_stays(browser: Browser, 
 
     WebDriverWait(browser.driver, 120.0).until(last)
     assert "301 updates" in browser.driver.find_element(By.TAG_NAME, "main").text
-
-
-def test_a_page_that_asks_or_complains_is_noticed(browser: Browser, pages: dict[str, Path], tmp_path: Path) -> None:
-    text = pages["adequate"].read_text(encoding="utf-8")
-    spoilt = tmp_path / "spoilt.html"
-    spoilt.write_text(text.replace("<main>", "<main><script>nothing.at.all</script>", 1))
-    browser.requests(), browser.complaints()
-    browser.show(spoilt)
-    assert any("nothing is not defined" in complaint for complaint in browser.complaints())
-    spoilt.write_text(
-        text.replace("img-src data:", "img-src file:").replace("<main>", '<main><img src="beside.png">', 1)
-    )
-    browser.requests()
-    browser.show(spoilt)
-    assert (tmp_path / "beside.png").as_uri() in browser.requests()

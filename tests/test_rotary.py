@@ -13,6 +13,7 @@ import pytest
 
 from c_packages import run
 from cli_cases import done, refused
+from record_cases import Hidden, simulate_log
 from sgms_bench.benchmark.harness import build_harness
 from sgms_mhe.configuration import load_machine, make_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
@@ -21,9 +22,6 @@ from sgms_mhe.evaluation.comparison import compare_signals
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import LINEAR, ROTARY, Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import write_report
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
@@ -40,9 +38,8 @@ def twin(**changes: Any) -> tuple[Machine, Machine]:
     return tuple(override_machine(load_machine(name), changes) for name in ("etel_xy", "etel_xy_rotary"))  # type: ignore[return-value]
 
 
-def moved(machine: Machine, seconds: float = 1.5, **options: Any) -> Log:
-    path = make_trajectory("mixed", machine.sampling.rate, duration_s=seconds)
-    return simulate_axis(machine, path, AxisConfig(seed=3), truth=False, **options).log
+def moved(machine: Machine, *hidden: Hidden, seconds: float = 1.5) -> Log:
+    return simulate_log(machine, *hidden, seconds=seconds, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -214,7 +211,7 @@ def code_of(text: str) -> list[str]:
 @pytest.mark.slow
 def test_a_diagnosis_finds_the_same_and_says_it_in_its_own_units(tmp_path: Path) -> None:
     ripple = ("force_ripple", {"amplitude_N": 0.9, "pitch_m": 0.03, "phase_rad": 0.4})
-    found = [diagnose(machine, moved(machine, 12.0, hidden_effects=[ripple])) for machine in (twin()[0], twin()[1])]
+    found = [diagnose(machine, moved(machine, ripple, seconds=12.0)) for machine in (twin()[0], twin()[1])]
     assert [cause.name for cause in found[1].causes] == ["force_ripple"]
     assert found[0].causes[0].parameters == found[1].causes[0].parameters
     content = found[1].to_json()

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from diagnosis_cases import explained
+from record_cases import simulate_log, slow_axis
 from sgms_mhe.configuration import law_changes, load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose, verdict, write_diagnosis
 from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, plain_friction
@@ -24,9 +25,6 @@ from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification.elements import SLOW_STEP, Stribeck, least_distance
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.signals.logs import Log
 
@@ -40,9 +38,7 @@ HIDDEN: Mapping[str, Mapping[str, float]] = {
 
 def recorded(machine: Machine, name: str, seed: int) -> Log:
     """A log of the simulated axis with an effect hidden in it."""
-    path = make_trajectory("mixed", machine.sampling.rate)
-    hidden = [(name, HIDDEN[name])] if name else []
-    return simulate_axis(machine, path, AxisConfig(seed=seed), hidden_effects=hidden, truth=False).log
+    return simulate_log(machine, *([(name, HIDDEN[name])] if name else []), seed=seed)
 
 
 def roughened(machine: Machine, seed: int) -> Machine:
@@ -176,10 +172,8 @@ def test_other_law_of_elements_that_switch_costs_no_more_than_a_sample_tells() -
     """A servo whose level falls up to a high speed, as identified: an element of 3 urad and a gate at 0.6 rad/s."""
     friction = {"law": "switching", "stiffness": [5764.0, 5.0], "fraction": [0.9, 0.1], "coulomb": 0.019}
     friction |= {"micro_viscous": [0.0, 0.0], "stribeck_ratio": 5.0, "stribeck_velocity": 1.7}
-    sampling = {"rate": 1000.0, "velocity_cutoff": 100.0}
-    file = override_machine(load_machine("etel_xy"), {"friction": friction, "sampling": sampling})
-    run = simulate_axis(file, make_trajectory("mixed", 1000.0, duration_s=1.0), AxisConfig(seed=1), truth=False)
-    own, other = _thinned(file, prepare(file, run.log), 1.0)
+    file = override_machine(slow_axis(), {"friction": friction})
+    own, other = _thinned(file, prepare(file, simulate_log(file, seconds=1.0, seed=1)), 1.0)
     assert own.machine.friction.stiffness == (5764.0, 5.0)
     found = other.machine.friction
     distances = found.coulomb * np.array(found.fraction) / np.array(found.stiffness)
@@ -191,7 +185,7 @@ def test_other_law_of_elements_that_switch_costs_no_more_than_a_sample_tells() -
 
 def test_the_file_is_no_scale_of_a_number_that_the_record_does_not_show() -> None:
     machine = override_machine(load_machine("etel_xy"), {"friction": {"law": "switching"}})
-    log = simulate_axis(machine, make_trajectory("mixed", machine.sampling.rate, duration_s=4.0), truth=False).log
+    log = simulate_log(machine, seconds=4.0)
     stiff = 1e4 * machine.friction.stiffness[0]  # slides at once, whatever it is
     subject = Subject.of(machine, prepare(machine, log)).start_from({"stiffness_1": stiff})
     fit = fit_model(subject, ())

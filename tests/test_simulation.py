@@ -30,11 +30,6 @@ KAPPA = np.array([120e3, 25e3, 7.1e3, 7.9e3])
 NU = np.array([0.067, 0.056, 0.047, 0.83])
 
 
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return load_machine("etel_xy")
-
-
 def clean(**options: Any) -> AxisConfig:
     return AxisConfig(**{"encoder_resolution_m": 0.0, "force_noise_N": 0.0, **options})
 

@@ -14,15 +14,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sgms_mhe.configuration import load_machine, override_machine
+from record_cases import simulate_log, slow_axis
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ModelStructure, extended_machine, nominal_values
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES
 from sgms_mhe.model.building import plain_force
 from sgms_mhe.model.effects import BASE_CAUSES, cause, effect_definition, own_effects
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import write_report
 
@@ -34,7 +33,7 @@ EVEN = ("asymmetric_viscous",)
 
 @cache
 def machine() -> Machine:
-    return override_machine(load_machine("etel_xy"), {"sampling": {"rate": 1000.0, "velocity_cutoff": 100.0}})
+    return slow_axis()
 
 
 @cache
@@ -46,10 +45,9 @@ def diagnose_curve(curve: str) -> Diagnosis:
     }
     axis = machine()
     path = make_trajectory("mixed", axis.sampling.rate, duration_s=10.0, max_velocity=0.4)
-    run = simulate_axis(axis, path, AxisConfig(seed=2, force_noise_N=0.05))
+    log = simulate_log(axis, path=path, seed=2, force_noise_N=0.05)
     # The controller holds the reference against it: it shows in the force alone.
-    log = replace(run.log, force_N=run.log.force_N + forces[curve](path.velocity_m_s))
-    return diagnose(axis, log)
+    return diagnose(axis, replace(log, force_N=log.force_N + forces[curve](path.velocity_m_s)))
 
 
 @pytest.mark.slow

@@ -10,12 +10,11 @@ import jsonschema
 import pytest
 from click.testing import CliRunner
 
+from record_cases import simulate_log
 from sgms_mhe.api.starting import start_text
 from sgms_mhe.cli import cli
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import write_log
 
 
@@ -102,10 +101,10 @@ def test_what_is_missing_or_cannot_be_is_named(words: list[str], named: str, tmp
     assert not path.exists()
 
 
+@pytest.mark.slow
 def test_from_a_log_the_file_is_identified(tmp_path: Path) -> None:
     axis = load_machine("etel_xy")
-    log = simulate_axis(axis, make_trajectory("mixed", axis.sampling.rate, duration_s=6.0), AxisConfig(seed=3)).log
-    write_log(tmp_path / "log.csv", log)
+    write_log(tmp_path / "log.csv", simulate_log(axis, seconds=6.0, seed=3))
     path = tmp_path / "my_axis.toml"
     assert "rate" in started(str(tmp_path / "log.csv"), "--out", str(path), "--rate", "8000", code=2)
     assert "inertia" in started(str(tmp_path / "log.csv"), "--out", str(path), "--inertia", "1", code=2)

@@ -41,6 +41,7 @@ SHAPES = (
     "switching, levels", "switching, levels, 5 merged", "switching, compensation",
 )  # fmt: skip
 """Variants whose work differs in kind."""
+LONG = ("every effect, single", "effects: upstream, newest, rk4", "effects: upstream")
 MOST_OVER_COUNTED = {"sample": 2.1, "unit": 2.0, "prepare": 2.2, "update": 3.3, "tick": 4.9}
 """Stated over counted. feedback() may search over all bounds, which no motion asks for; a part of it is in a tick."""
 
@@ -133,7 +134,9 @@ def test_stated_work_of_a_machine_holds_and_is_not_far_off(name: str, require_to
     assert all(said[call] <= limit * most[call] for call, limit in MOST_OVER_COUNTED.items()), (most, said)
 
 
-@pytest.mark.parametrize("title", SHAPES)
+@pytest.mark.parametrize(
+    "title", [pytest.param(title, marks=pytest.mark.slow) if title in LONG else title for title in SHAPES]
+)
 def test_stated_work_holds(title: str, require_tool: Tool, tmp_path: Path) -> None:
     variant = VARIANTS[title]
     settings = override_machine(override_machine(load_machine(variant.machine), SMALL), variant.changes)

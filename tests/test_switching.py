@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from c_packages import elements, machine
 from package_variants import EFFECTS
-from reference_cases import arrays, moving, variant
+from record_cases import simulate_log
+from reference_cases import arrays, estimate_once, moving, variant
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.parametrisation import SHARP_SMOOTHING
@@ -23,10 +24,7 @@ from sgms_mhe.model import build_model
 from sgms_mhe.model.axis import StateSpec, SymbolicAxis
 from sgms_mhe.model.friction import Elements
 from sgms_mhe.model.switching import check_switching
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.reference import ReferenceIntegrator, estimate_reference
+from sgms_mhe.reference import ReferenceIntegrator
 from sgms_mhe.signals.chain import chain_delay, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
@@ -211,8 +209,7 @@ CASES: dict[str, dict[str, Any]] = {
 def log_of(settings: Machine, duration_s: float = 1.5) -> Log:
     """Log of the axis itself with its effects, whose stiffness is off."""
     scale = {"stiffness": (1.2, 0.8, 1.1, 0.97, 1.05, 0.9, 1.1, 0.85, 1.2, 0.9)[: settings.friction.n_z]}
-    path = make_trajectory("mixed", RATE, duration_s=duration_s)
-    return simulate_axis(settings, path, AxisConfig(seed=1), scale=scale, truth=False).log
+    return simulate_log(settings, seconds=duration_s, scale=scale, seed=1)
 
 
 def largest_difference(c: Estimates, reference: Estimates) -> float:
@@ -232,7 +229,7 @@ def compiled(settings: Machine) -> CompiledEstimator:
 def test_c_is_the_reference(case: str) -> None:
     settings = switching(**CASES[case])
     signals = signals_from_log(log_of(settings), settings)
-    reference = estimate_reference(settings, signals)
+    reference = estimate_once(settings, signals)
     c = compiled(settings).estimate(signals)
     assert largest_difference(c, reference) < 1e-11
     np.testing.assert_array_equal(c.status, reference.status)
@@ -243,7 +240,7 @@ def test_c_is_the_reference(case: str) -> None:
 def test_single_precision_follows_the_reference(changes: dict[str, Any]) -> None:
     settings = switching(**changes, code={"precision": "single"})
     signals = signals_from_log(log_of(settings), settings)
-    c, reference = compiled(settings).estimate(signals), estimate_reference(settings, signals)
+    c, reference = compiled(settings).estimate(signals), estimate_once(settings, signals)
     assert np.abs(c.friction_N - reference.friction_N).max() < 1e-4 * np.ptp(reference.friction_N)
     np.testing.assert_allclose(c.parameters, reference.parameters, rtol=1e-3)
     np.testing.assert_allclose(c.std, reference.std, rtol=2e-3)
@@ -284,9 +281,7 @@ def test_a_diagnosis_takes_the_law_as_it_is() -> None:
     """Its emitted models switch."""
     settings = switching()
     hidden = ("force_ripple", {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7})
-    path = make_trajectory("mixed", RATE, duration_s=8.0)
-    log = simulate_axis(settings, path, AxisConfig(seed=1), hidden_effects=[hidden], truth=False).log
-    found = diagnose(settings, log)
+    found = diagnose(settings, simulate_log(settings, hidden, seconds=8.0, seed=1))
     assert (found.verdict, [cause.name for cause in found.causes]) == ("explained", ["force_ripple"])
     assert found.extended is not None and found.extended.friction.switches
     assert found.law == "switching" and not any("[friction] law" in note for note in found.warnings)
@@ -295,10 +290,7 @@ def test_a_diagnosis_takes_the_law_as_it_is() -> None:
 @pytest.mark.slow
 def test_an_effect_that_cannot_switch_is_found_on_an_axis_that_does() -> None:
     settings = switching()
-    path = make_trajectory("mixed", RATE, duration_s=8.0)
-    hidden = ("backlash", {"gap_m": 3e-5})
-    log = simulate_axis(settings, path, AxisConfig(seed=1), hidden_effects=[hidden], truth=False).log
-    found = diagnose(settings, log)
+    found = diagnose(settings, simulate_log(settings, ("backlash", {"gap_m": 3e-5}), seconds=5.0, seed=1))
     assert [cause.name for cause in found.causes] == ["backlash"], found.summary
     assert found.causes[0].parameters["gap_m"] == pytest.approx(3e-5, rel=0.1)
     assert found.law == "switching"
@@ -309,15 +301,14 @@ def test_an_effect_that_cannot_switch_is_found_on_an_axis_that_does() -> None:
 
 def test_the_error_of_the_smoothing_is_gone() -> None:
     """On an axis that switches, and of the stated stiffness: what the model alone leaves of the measured force."""
-    path = make_trajectory("mixed", RATE, duration_s=1.5)
-    log = simulate_axis(switching(), path, AxisConfig(seed=1, force_noise_N=0.0), truth=False).log
+    log = simulate_log(switching(), seconds=1.5, seed=1, force_noise_N=0.0)
     left = {}
     for law, settings in (("switching", switching()), ("sgms", machine())):
         signals = signals_from_log(log, settings)
         # One reading per update: ten would correct the states more often than the smoothing is wrong.
         changes = {"sampling": {"measurement_rate": 100.0}, "estimator": {"kind": "ekf", "noise": {"parameter": 1e-6}}}
         known = override_machine(settings, changes)
-        found = estimate_reference(known, signals)
+        found = estimate_once(known, signals)
         left[law] = float(
             np.sqrt(np.mean((found.friction_N - signals.friction[100::100][: len(found.friction_N)]) ** 2))
         )
@@ -328,10 +319,10 @@ def test_the_error_of_the_smoothing_is_gone() -> None:
 def test_stiffness_of_an_axis_that_switches_is_found(kind: str) -> None:
     """Four stiffnesses 5 to 20 % off, twenty seconds of mixed motion: near, and never beyond two stated sigmas."""
     estimator = compiled(switching(estimator={"kind": kind, "noise": {"parameter": 0.4}}))
-    path, true = make_trajectory("mixed", RATE, duration_s=20.1), np.array([1.2, 0.85, 1.1, 0.95])
+    true = np.array([1.2, 0.85, 1.1, 0.95])
     for seed in (0, 1):
-        run = simulate_axis(switching(), path, AxisConfig(seed=seed), scale={"stiffness": tuple(true)}, truth=False)
-        found = estimator.estimate_log(run.log, mode="tasks")
+        log = simulate_log(switching(), seconds=20.1, scale={"stiffness": tuple(true)}, seed=seed)
+        found = estimator.estimate_log(log, mode="tasks")
         error = found.parameters / KAPPA - true
         assert np.abs(error[-1] / true).max() < 0.03
         assert np.abs(error / (found.std / KAPPA))[500:].max() < 2.0
@@ -407,12 +398,8 @@ def test_contributions_of_others_are_refused_where_no_clip_would_be_right() -> N
 
 
 def test_the_simulated_axis_obeys_the_file_unless_it_is_told_otherwise() -> None:
-    path = make_trajectory("mixed", RATE, duration_s=1.0)
-
-    def force(settings: Machine, config: AxisConfig) -> Array:
-        return np.asarray(simulate_axis(settings, path, config, truth=False).log.force_N)
-
-    own = force(switching(), AxisConfig())
-    np.testing.assert_array_equal(own, force(machine(), AxisConfig(law="maxwell_slip")))
-    assert np.abs(own - force(machine(), AxisConfig())).max() > 1e-3
-    assert np.abs(own - force(switching(), AxisConfig(law="sgms"))).max() > 1e-3
+    axes: list[tuple[Machine, Any]]
+    axes = [(switching(), None), (machine(), "maxwell_slip"), (machine(), None), (switching(), "sgms")]
+    own, same, *others = (simulate_log(axis, seconds=1.0, law=law).force_N for axis, law in axes)
+    np.testing.assert_array_equal(own, same)
+    assert all(np.abs(own - other).max() > 1e-3 for other in others)

@@ -11,23 +11,20 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, done, refused, run
+from record_cases import simulate_log
 from sgms_mhe.commands.tune import _rows
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.plots import trade_off_figure
 from sgms_mhe.evaluation.tuning import Trial, Tuned, tune
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.innovations import LEAST_UPDATES, innovation_loss, moving_updates, stated_noise
 from sgms_mhe.signals.logs import Log, write_log
 
 
 def moved(machine: Machine, noise: float, seconds: float = 8.0) -> Log:
-    path = make_trajectory("paper", machine.sampling.rate, duration_s=seconds)
-    return simulate_axis(machine, path, AxisConfig(force_noise_N=noise, seed=1), truth=False).log
+    return simulate_log(machine, path="paper", seconds=seconds, force_noise_N=noise, seed=1)
 
 
 def stated(path: Path, measurement: float) -> Machine:

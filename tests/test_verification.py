@@ -30,10 +30,6 @@ Tool = Callable[[str], str]
 PLAIN = SANITIZERS["plain"]
 
 
-def silent(_: str) -> None:
-    """Of the progress."""
-
-
 @pytest.fixture(scope="module")
 def package() -> Package:
     return emit_package(specimen("merged_auto"), selftest=False)
@@ -152,7 +148,7 @@ def test_compilers_and_levels_give_the_same_bits(name: str, precision: str, requ
 def test_processors_give_the_same_bits() -> None:
     builds = list(target_builds(("-O2",)))
     assert BIG_ENDIAN in [build.target for build in builds]
-    outcomes = same_bits([specimen("switching")], builds, silent)
+    outcomes = same_bits([specimen("switching")], builds, print)
     assert len(outcomes) == 3 and all(o.failures == () and o.skipped is None for o in outcomes)
 
 
@@ -162,7 +158,7 @@ def test_processors_give_the_same_bits() -> None:
 @pytest.mark.slow
 def test_every_line_is_reached_or_explained(require_tool: Tool) -> None:
     require_tool("gcov")
-    outcome = check_coverage(list(specimens()), silent)
+    outcome = check_coverage(list(specimens()), print)
     assert outcome.skipped is None and outcome.failures == ()
 
 
@@ -178,7 +174,7 @@ def test_gap_without_a_reason_is_found(require_tool: Tool, monkeypatch: pytest.M
     )
     monkeypatch.setattr(coverage, "GAPS", (Gap("absent", "nothing", "of a function that no package has"),))
     monkeypatch.setattr(coverage, "measure", lambda _: found)
-    outcome = check_coverage([specimen("ekf")], silent)
+    outcome = check_coverage([specimen("ekf")], print)
     assert len(outcome.failures) == len(left) + 1
     assert "no package has this gap any more: absent: nothing" in outcome.failures
 
@@ -232,10 +228,10 @@ def test_what_no_proof_deals_with_is_found(code: str, said: str, package: Packag
 @pytest.mark.needs_riscv
 def test_work_and_stack_stay_within_what_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     machines = [specimen("merged_auto"), specimen("ekf")]
-    outcomes = check_limits(machines, silent)
+    outcomes = check_limits(machines, print)
     assert len(outcomes) == 2 and all(o.failures == () and o.skipped is None for o in outcomes)
     monkeypatch.setattr(limits, "INSTRUCTIONS_PER_OPERATION", 0.01)
-    beyond = check_limits(machines[:1], silent)
+    beyond = check_limits(machines[:1], print)
     assert all(any("feedback takes" in text for text in o.failures) for o in beyond)
 
 
@@ -244,7 +240,7 @@ def test_work_and_stack_stay_within_what_is_stated(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.slow
 def test_every_condition_decides_or_is_explained() -> None:
-    outcome = check_conditions(list(specimens()), silent)
+    outcome = check_conditions(list(specimens()), print)
     if outcome.skipped is not None:
         pytest.skip(outcome.skipped)
     assert outcome.failures == ()

@@ -6,11 +6,8 @@ from functools import cache
 
 import pytest
 
-from sgms_mhe.configuration import load_machine, override_machine
+from record_cases import simulate_log, slow_axis
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 
 CURVE = {
     "speed_m_s": (0.02, 0.08),
@@ -22,10 +19,9 @@ CURVE = {
 
 @cache
 def diagnose_film(lag_s: float, *, curved: bool) -> Diagnosis:
-    axis = override_machine(load_machine("etel_xy"), {"sampling": {"rate": 1000.0, "velocity_cutoff": 100.0}})
-    path = make_trajectory("mixed", axis.sampling.rate, duration_s=12.0, max_velocity=0.4)
+    axis = slow_axis()
     hidden = [*([("friction_curve", CURVE)] if curved else []), ("viscous_lag", {"time_constant_s": lag_s})]
-    return diagnose(axis, simulate_axis(axis, path, AxisConfig(seed=2, force_noise_N=0.05), hidden_effects=hidden).log)
+    return diagnose(axis, simulate_log(axis, *hidden, seconds=12.0, fastest=0.4, seed=2, force_noise_N=0.05))
 
 
 @pytest.mark.slow

@@ -37,6 +37,7 @@ def assert_holds_the_truth(toml: str) -> None:
     assert {name for name, *_ in stated} >= {"mass", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity"}
 
 
+@pytest.mark.slow
 @pytest.mark.needs_arm
 def test_from_a_trace_to_firmware(require_tool: Callable[[str], str], tmp_path: Path) -> None:
     require_tool("cmake")

@@ -29,6 +29,7 @@ from scipy.io import savemat
 
 from cli_cases import SCRIPT, done, files, refused, run
 from log_dialects import machine, trace
+from record_cases import simulate_log
 from sgms_bench.logs.dialects import DIALECTS
 from sgms_mhe.api.estimation import estimate
 from sgms_mhe.api.watching import Followed, Replay, SampleSource, Streamed, Watch
@@ -39,9 +40,6 @@ from sgms_mhe.logfiles.encoding import Decoder
 from sgms_mhe.logfiles.following import FollowedText
 from sgms_mhe.logfiles.reading import TEXTS, read_log
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.chain import Chain, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log, write_log
@@ -632,9 +630,7 @@ def test_logs_that_are_none_are_refused_and_touch_nothing(small: Path, tmp_path:
 
 
 def test_a_force_of_the_other_sign_is_said_and_the_answer_is_no(small: Path, tmp_path: Path) -> None:
-    config = AxisConfig(encoder_resolution_m=1e-9)
-    reference = make_trajectory("mixed", 1000.0, max_velocity=0.5, duration_s=25.0)
-    right = simulate_axis(machine(), reference, config, truth=False).log
+    right = simulate_log(machine(), seconds=25.0, fastest=0.5)
     write_log(tmp_path / "right.csv", right)
     write_log(tmp_path / "wrong.csv", Log(right.time_s, right.position_m, -right.force_N, 1000.0))
     assert "scale = -1" in refused("estimate", small, tmp_path / "wrong.csv", "--out", tmp_path / "e.csv")

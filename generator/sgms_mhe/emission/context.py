@@ -60,7 +60,7 @@ class LastingRule:
         block: intervals with motion of a block.
         most: a block's square counts no more than so many times what it is on average.
         forgets: share that a mean over blocks forgets with an interval.
-        doubted: factor, over that colour, beyond which the measurements contradict the model.
+        doubted: factor, over the known colour, beyond which the measurements contradict the model.
     """
 
     block: int = 50
