@@ -457,6 +457,16 @@ void axis_move(struct axis *axis, double velocity, const double *deflection)
     }
 }
 
+void axis_start(struct axis *axis, double position, double velocity, double strain)
+{
+    axis->position = position;
+    axis->velocity = velocity;
+    for (int i = 0; i < axis->elements; ++i) {
+        const double most = break_away(axis, i);
+        axis->deflection[i] = fmin(fmax(axis->deflection[i] + strain * most, -most), most);
+    }
+}
+
 /* ---- a sample ----------------------------------------------------------------------------------------------- */
 
 static double reference_at(const double *reference, size_t length, size_t k)
@@ -574,12 +584,12 @@ static void run_controlled(struct axis *axis, double command)
 }
 
 /* The mass follows the reference exactly, at constant velocity between samples. */
-static void run_prescribed(struct axis *axis, double here, double next)
+static void run_prescribed(struct axis *axis, double here, double next, double command)
 {
     axis->velocity = (next - here) * axis->set.rate;
     for (int s = 0; s < axis->substeps; ++s) {
         kick_effects(axis);
-        drift(axis, axis->velocity, axis->velocity, axis->force);
+        drift(axis, axis->velocity, axis->velocity, command);
         kick_effects(axis);
     }
     axis->position = next; /* without the rounding of the sum */
@@ -664,12 +674,55 @@ size_t axis_run(
         const double wanted = acceleration_at(reference, length, k, axis->set.feedforward_lead * rate, rate);
 
         if (prescribed) {
-            run_prescribed(axis, here, next);
+            run_prescribed(axis, here, next, axis->force);
         } else if (axis->control == AXIS_CONTROL_FORCE) {
             run_controlled(axis, here);
         } else {
             run_controlled(axis, control(axis, measured, measured_force, before, here, wanted));
         }
+    }
+    return count;
+}
+
+/* Mean force of the drive over sample k [N] behind a logged one: before what makes the log late, or scales it. */
+static double force_behind_log(const struct axis *axis, const double *logged, size_t length, size_t k)
+{
+    const double at = (double)k + 0.5 + fmax(axis->late, 0.0) / axis->substeps, part = at - floor(at);
+    const double before = reference_at(logged, length, (size_t)at), next = reference_at(logged, length, (size_t)at + 1);
+    return ((1.0 - part) * before + part * next) / change_now(axis, AXIS_READ_FORCE, 1.0);
+}
+
+void axis_follow(
+    struct axis *axis,
+    const double *position,
+    const double *logged,
+    size_t length,
+    size_t start,
+    size_t count)
+{
+    for (size_t k = start; k < start + count; ++k) {
+        axis->acceleration = accelerate(axis, axis->velocity);
+        run_prescribed(
+            axis, reference_at(position, length, k), reference_at(position, length, k + 1),
+            force_behind_log(axis, logged, length, k));
+    }
+}
+
+size_t axis_run_free(
+    struct axis *axis,
+    const double *logged,
+    size_t length,
+    size_t start,
+    size_t count,
+    double *position)
+{
+    for (size_t row = 0; row < count; ++row) {
+        position[row] = measure_position(axis);
+        if (!(fabs(position[row]) < FARTHEST)) {
+            return row;
+        }
+        axis->acceleration = accelerate(axis, axis->velocity);
+        run_controlled(axis, force_behind_log(axis, logged, length, start + row));
     }
     return count;
 }

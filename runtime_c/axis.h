@@ -178,6 +178,10 @@ void axis_place(struct axis *axis, double position);
  * start as at rest. */
 void axis_move(struct axis *axis, double velocity, const double *deflection);
 
+/* Let an axis that follows a motion go on from it by itself: from this position and velocity, its elements deflected
+ * further by so much of their break-away, none beyond it. */
+void axis_start(struct axis *axis, double position, double velocity, double strain);
+
 /* Fill row `row` of the columns with the present state, without a step. 0 where the axis left the world. */
 int axis_observe(struct axis *axis, const struct axis_record *record, size_t row);
 
@@ -191,6 +195,26 @@ size_t axis_run(
     size_t start,
     size_t count,
     const struct axis_record *record);
+
+/* Let an axis that a force drives follow a measured motion [m] through `count` samples from sample `start`: all its
+ * states become those of the motion and of the logged force [N]. */
+void axis_follow(
+    struct axis *axis,
+    const double *position,
+    const double *logged,
+    size_t length,
+    size_t start,
+    size_t count);
+
+/* Run an axis that a force drives by a logged one, which is linear between samples, and record what the encoder reads
+ * [m] from sample `start` on. The samples recorded: fewer than `count` where the axis left the world. */
+size_t axis_run_free(
+    struct axis *axis,
+    const double *logged,
+    size_t length,
+    size_t start,
+    size_t count,
+    double *position);
 
 #ifdef __cplusplus
 }

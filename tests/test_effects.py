@@ -43,6 +43,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import plant_effects, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.recordings.excitation import measure_excitation
+from sgms_mhe.recordings.free_run import run_freely
 from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.reference.mhe import run_mhe
 from sgms_mhe.reference.problem import NodeRecord
@@ -453,6 +454,17 @@ def test_prediction_matches_the_plant(name: str) -> None:
     assert np.abs(error).max() < CASES[name].largest_N
     # The test would not see an effect that is missing altogether, were it small beside the tolerance.
     assert rms(without) > 5.0 * rms(error)
+
+
+@pytest.mark.parametrize("name", EFFECT_NAMES)
+def test_free_run_repeats_the_motion_of_the_plant(name: str) -> None:
+    machine = machine_of(name)
+    config = AxisConfig(encoder_resolution_m=0.0, force_noise_N=0.0)
+    log = simulate_axis(machine, trajectory(), config, truth=False).log
+    run, without = run_freely(machine, log), run_freely(base_for(name), log)
+    assert run.rms < 2e-3 * np.ptp(log.position_m)
+    assert without.rms > 5.0 * run.rms or name in ("force_delay", "actuator_lag", "encoder_periodic_error")
+    assert not run.horizon.reached and run.horizon.seconds == pytest.approx(0.5 * len(log) / RATE, abs=1e-3)
 
 
 def test_an_early_force_matches_the_plant() -> None:

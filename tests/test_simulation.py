@@ -856,7 +856,7 @@ def test_elements_that_slip_at_once_take_bounded_work(
     ("field", "value"),
     [
         ("law", "lugre"),
-        ("control", "force"),
+        ("control", "velocity"),
         ("bandwidth_Hz", 0.0),
         ("max_force_N", -1.0),
         ("encoder_resolution_m", float("nan")),

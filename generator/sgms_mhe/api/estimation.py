@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -13,6 +14,7 @@ from sgms_mhe.diagnosis.other_record import Origin
 from sgms_mhe.evaluation.prediction import PredictedFriction, predict_log
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.free_run import run_freely
 from sgms_mhe.reference import estimate_reference
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.estimates import Estimates
@@ -69,6 +71,7 @@ def predict(
     log: LogSource,
     *,
     lowpass_Hz: Annotated[float | None, Option(least=1e-3, most=1e7)] = None,
+    free_run: bool = False,
     note: Note | None = None,
 ) -> PredictedFriction:
     """Run a machine's model along the motion in a log, without estimation.
@@ -77,6 +80,7 @@ def predict(
         machine: file, name, or loaded.
         log: file, Log or DataFrame.
         lowpass_Hz: cutoff in place of the machine's velocity_cutoff [Hz].
+        free_run: also run the model by the logged force alone: `motion` of the result.
         note: called with each sentence on how the log was read; None: they are `LogWarning`s.
 
     Returns:
@@ -89,7 +93,9 @@ def predict(
     axis = load(machine)
     if lowpass_Hz is not None:
         axis = override_machine(axis, {"sampling": {"velocity_cutoff": lowpass_Hz}})
-    return read_only(predict_log(axis, recorded_log(log, axis, note=note)))
+    recorded = recorded_log(log, axis, note=note)
+    motion = run_freely(axis, recorded) if free_run else None
+    return read_only(replace(predict_log(axis, recorded), motion=motion))
 
 
 def find_origin(

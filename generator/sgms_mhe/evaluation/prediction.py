@@ -14,6 +14,7 @@ from scipy.signal import decimate
 from sgms_mhe.configuration import step_every_sample
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import OF_KIND, Kind, Machine
+from sgms_mhe.recordings.free_run import FreeRun
 from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.logs import Log, align_velocity, write_columns
@@ -33,7 +34,7 @@ class PredictedFriction(Shown):
 
     time [s]; measured [N], NaN where it is no measurement; friction [N] of the model at the machine file's parameters,
     which starts with all elements relaxed; drive force [N] behind the same filters; `source` names the log. Of a
-    rotary axis torques [N m]; `kind` says which it is.
+    rotary axis torques [N m]; `kind` says which it is. `motion`: from the force alone, where that was asked for.
     """
 
     time_s: Array
@@ -42,12 +43,14 @@ class PredictedFriction(Shown):
     force_N: Array
     source: str
     kind: Kind = "linear"
+    motion: FreeRun | None = None
 
     @property
     def columns(self) -> dict[str, Array]:
         """Columns (n) of the prediction's file, as this kind of axis names them."""
         names = ("time_s", "friction_measured_N", "friction_N")
-        return {OF_KIND[self.kind].named(name): getattr(self, name) for name in names}
+        friction = {OF_KIND[self.kind].named(name): getattr(self, name) for name in names}
+        return friction if self.motion is None else friction | self.motion.columns
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame with the columns of the prediction's file, a row per sample."""
@@ -149,5 +152,5 @@ def force_error(
 
 
 def write_prediction(path: str | Path, prediction: PredictedFriction) -> None:
-    """Write time_s, friction_measured_N, friction_N (as this kind of axis names them) as CSV, atomically."""
+    """Write a prediction's columns as CSV, atomically."""
     write_columns(path, prediction.columns)

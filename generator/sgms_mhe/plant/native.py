@@ -107,6 +107,9 @@ def loaded_library() -> Library:
         "axis_apply": (ctypes.c_int, [axis]),
         "axis_place": (None, [axis, number]),
         "axis_run": (size, [axis, ctypes.c_void_p, size, size, size, ctypes.POINTER(_Record)]),
+        "axis_start": (None, [axis, number, number, number]),
+        "axis_follow": (None, [axis, ctypes.c_void_p, ctypes.c_void_p, size, size, size]),
+        "axis_run_free": (size, [axis, ctypes.c_void_p, size, size, size, ctypes.c_void_p]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(c, name)
@@ -312,6 +315,31 @@ class NativeAxis:
                 None,
                 "parameters with which the position loop is stable; this axis runs away beyond 4e6 m or 1e9 N",
             )
+
+    def follow(self, position: Array, force: Array, start: int, end: int) -> None:
+        """Follow a measured motion under a logged force: all states become those at sample `end`."""
+        self._c.axis_follow(
+            self._memory, position.ctypes.data, force.ctypes.data, len(force), start, max(0, end - start)
+        )
+
+    def run_free(self, force: Array, start: int, end: int, position: float, velocity: float, strain: float) -> Array:
+        """Return positions that a logged force makes of samples `start` to `end`, and be as before.
+
+        Args:
+            force: logged (n) [N].
+            start, end: samples.
+            position, velocity: at the first of them [m, m/s].
+            strain: added to every element's, over its break-away.
+
+        Returns:
+            Positions (end - start) [m]; NaN from where the axis ran away.
+        """
+        before, positions = self._memory.raw, np.full(end - start, math.nan)
+        self._c.axis_start(self._memory, position, velocity, strain)
+        args = (force.ctypes.data, len(force), start, end - start, positions.ctypes.data)
+        positions[self._c.axis_run_free(self._memory, *args) :] = math.nan
+        ctypes.memmove(self._memory, before, len(before))
+        return positions
 
     def _apply(self) -> None:
         refusal = self._c.axis_apply(self._memory)

@@ -1,0 +1,286 @@
+"""Free run: the motion that a machine makes of the measured force alone, and how long it stays near the measured one.
+
+The simulated axis (`plant/`) runs from the first samples of every stretch without a gap. Before such a start it follows
+the measured motion, so that elements, lags and clocks are those of the record.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import butter, sosfiltfilt
+
+from sgms_mhe.machine import OF_KIND, Kind, Machine
+from sgms_mhe.plant.axis_config import MAX_SUBSTEPS, AxisConfig
+from sgms_mhe.plant.native import NativeAxis
+from sgms_mhe.recordings.series import find_runs
+from sgms_mhe.signals.chain import readings
+from sgms_mhe.signals.logs import Log, check_rate
+from sgms_mhe.signals.noise import encoder_step, position_noise
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
+
+Array = NDArray[np.float64]
+
+FIRST: Final = 20
+"""Samples that a start is estimated from, and that are not compared."""
+LONGEST_STEP_S: Final = 1e-4
+STEPS_PER_RADIAN: Final = 10.0
+"""Of the fastest oscillation: its period is then right to 0.04 %."""
+SHOTS: Final = 20
+TOLERANCE: Final = 0.01
+"""Error of a horizon over the range of the record's positions."""
+SMALLEST: Final = 1e-9
+"""Noise over that range, at least: a simulated position has no other."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """State that a shot starts from: position [m], velocity [m/s], strain added to that of the motion."""
+
+    sample: int
+    position: float
+    velocity: float
+    strain: float = 0.0
+
+
+@dataclass(frozen=True)
+class Horizon:
+    """Longest time after a start up to which the RMS error over all starts stays within a bound.
+
+    Attributes:
+        seconds: that time; `reached`: whether the error is beyond the bound after it, or the record allows no more.
+        error: the bound [m].
+        starts: how many, spread evenly.
+    """
+
+    seconds: float
+    reached: bool
+    error: float
+    starts: int
+
+
+@dataclass(frozen=True, repr=False)
+class FreeRun(Shown):
+    """Motion from the measured force alone; arrays (n), of a rotary axis angles [rad].
+
+    time [s]; measured position [m], NaN where it is missing; simulated position [m], NaN in a gap and where the model
+    ran away; `compared` samples, none of the first of a start. drift: slope of the error over the
+    time since its start [m/s]. `source` names the log.
+    """
+
+    time_s: Array
+    position_m: Array
+    simulated_position_m: Array
+    compared: NDArray[np.bool_]
+    starts: tuple[Start, ...]
+    drift_m_s: float
+    horizon: Horizon
+    source: str
+    kind: Kind = "linear"
+
+    @property
+    def error(self) -> Array:
+        """Simulated minus measured position of the compared samples [m]; infinite where the model ran away."""
+        error = (self.simulated_position_m - self.position_m)[self.compared]
+        return np.where(np.isfinite(error), error, math.inf)
+
+    @property
+    def rms(self) -> float:
+        """RMS of the error [m]."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """Columns (n) of the prediction's file, as this kind of axis names them."""
+        names = ("position_m", "simulated_position_m")
+        return {OF_KIND[self.kind].named(name): getattr(self, name) for name in names}
+
+    def plot(self, axes: Any | None = None) -> Any:
+        """Draw position measured and simulated over time; return the matplotlib axes, those given or new ones."""
+        axes = labelled_axes(axes, "time [s]", f"position [{OF_KIND[self.kind].position}]")
+        axes.plot(self.time_s, self.position_m, linewidth=1.0, color="0.6", label="measured")
+        axes.plot(self.time_s, self.simulated_position_m, linewidth=1.0, label="from the force alone")
+        axes.legend()
+        return axes
+
+    def describe(self) -> str:
+        """Return error, drift and horizon in words."""
+        unit, horizon = OF_KIND[self.kind].position, self.horizon
+        again = f", started anew behind {len(self.starts) - 1} gaps" if len(self.starts) > 1 else ""
+        least = "" if horizon.reached else "at least "
+        return (
+            f"free run: {self.rms:.4g} {unit} rms, drift {self.drift_m_s:.3g} {unit}/s{again}; within "
+            f"{horizon.error:.3g} {unit} rms for {least}{horizon.seconds:.3g} s after {horizon.starts} starts"
+        )
+
+    def _shown(self) -> Presentation:
+        return f"{self.source or 'log'}: {self.describe()}", (), ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; numbers in `unit`; None where the model ran away."""
+        mae, rms = float(np.mean(np.abs(self.error))), self.rms
+        return {
+            "mae": mae if math.isfinite(mae) else None,
+            "rms": rms if math.isfinite(rms) else None,
+            "unit": OF_KIND[self.kind].position,
+            "skipped": len(self.compared) - int(self.compared.sum()),
+            "starts_s": [float(self.time_s[start.sample]) for start in self.starts],
+            "drift_per_s": self.drift_m_s if math.isfinite(self.drift_m_s) else None,
+            "horizon": vars(self.horizon),
+        }
+
+
+class MotionRecord:
+    """A log as free runs take it: its stretches without a gap, and the motion that the axis follows before a start.
+
+    `start_s`, `end_s` [s since the log's first sample] say which part is run through.
+
+    Attributes:
+        stretches: first sample and that after the last, of each.
+        position: measured (n) [m]; NaN where it is missing.
+        extent: range of the positions [m].
+
+    Raises:
+        InputError: no force was logged; no stretch is long enough to compare anything.
+    """
+
+    def __init__(self, machine: Machine, log: Log, start_s: float = 0.0, end_s: float = math.inf) -> None:
+        check_rate(log, machine)
+        if log.is_friction_alone:
+            raise InputError(log.source or "log", "columns", log.units.named("friction_N"), f"a {log.units.push}")
+        log = readings(log)
+        self.log, self.position = log, log.position_m
+        good = np.isfinite(log.position_m) & np.isfinite(log.force_N)
+        since = log.time_s - log.time_s[0]
+        chosen = good & (since >= start_s) & (since <= end_s)
+        self.stretches = [(a, b) for a, b in find_runs(chosen) if b - a > 2 * FIRST]
+        if not self.stretches:
+            allowed = f"more than {2 * FIRST} in a row with position and {log.units.push}"
+            raise InputError(log.source or "log", "samples", int(chosen.sum()), allowed)
+        self._is_fresh = ~np.concatenate(([False], good[:-1]))
+        k = np.arange(len(log))
+        filled = np.interp(k, k[good], log.position_m[good])
+        sos = butter(2, machine.sampling.velocity_cutoff, fs=log.rate, output="sos")
+        self._followed = np.ascontiguousarray(sosfiltfilt(sos, filled))
+        self._force = np.ascontiguousarray(np.interp(k, k[good], log.force_N[good]))
+        self.extent = float(np.ptp(log.position_m[good]))
+        step = machine.sampling.position_step or encoder_step(log.position_m)
+        self.noise = max(position_noise(log.position_m), step / math.sqrt(12.0), SMALLEST * self.extent)
+
+    def run(
+        self,
+        machine: Machine,
+        shots: Sequence[tuple[int, int]],
+        starts: Sequence[Start] = (),
+        parameters: Mapping[str, float] | None = None,
+    ) -> tuple[list[Array], list[Start]]:
+        """Run a machine freely through shots (first sample, that after the last), in the order of time.
+
+        `starts` of an earlier run are taken over; without them each is estimated from its first samples.
+        """
+        axis = NativeAxis(_at_rate(machine, self.log.rate), _config(machine, self.log.rate), ())
+        for name, value in (parameters or {}).items():
+            axis.replace(name, value)
+        axis.place(float(self._followed[0]))
+        here, runs, taken = 0, [], []
+        for i, (first, end) in enumerate(shots):
+            axis.follow(self._followed, self._force, here, first)
+            here = first
+            start = starts[i] if starts else self._estimate(axis, first)
+            runs.append(axis.run_free(self._force, first, end, start.position, start.velocity, start.strain))
+            taken.append(start)
+        return runs, taken
+
+    def _estimate(self, axis: NativeAxis, first: int) -> Start:
+        """Return the start that fits its first samples best; strains only where no motion before them tells them.
+
+        Least squares in position, velocity and strain, of which a standard deviation of 1 is known before.
+        """
+        measured, span = self.position[first : first + FIRST], FIRST / self.log.rate
+        slope, level = np.polyfit(np.arange(FIRST) / self.log.rate, measured, 1)
+        near = 1e-3 * self.extent
+        scale = np.array([near, near / span, float(self._is_fresh[first])])
+        guess = np.array([level, slope, 0.0])
+
+        def residual(x: Array) -> Array:
+            moved = axis.run_free(self._force, first, first + FIRST, *(guess + scale * x).tolist())
+            return np.append(np.nan_to_num((moved - measured) / self.noise, nan=1e9), x[2])
+
+        found = least_squares(residual, np.zeros(3), bounds=([-np.inf, -np.inf, -1.0], [np.inf, np.inf, 1.0]))
+        return Start(first, *(guess + scale * found.x).tolist())
+
+
+def _at_rate(machine: Machine, rate: float) -> Machine:
+    return replace(machine, sampling=machine.sampling.model_copy(update={"rate": rate}))
+
+
+def _config(machine: Machine, rate: float) -> AxisConfig:
+    """Return an axis that the force drives, sensors without errors, in steps that resolve its oscillations."""
+    numbers = [(name, x) for effect in machine.effects for name, x in effect.parameters.items() if isinstance(x, float)]
+    stiffness = sum(machine.friction.stiffness) + sum(abs(x) for name, x in numbers if name.endswith("_N_m"))
+    fastest = max(
+        [math.sqrt(stiffness / machine.plant.moved)] + [2.0 * math.pi * x for n, x in numbers if n.endswith("_Hz")]
+    )
+    steps = math.ceil(max(1.0 / LONGEST_STEP_S, STEPS_PER_RADIAN * fastest) / rate - 1e-9)
+    return AxisConfig(
+        control="force",
+        current_loop_Hz=math.inf,
+        encoder_resolution_m=0.0,
+        force_noise_N=0.0,
+        substeps=min(steps, MAX_SUBSTEPS),
+    )
+
+
+def run_freely(
+    machine: Machine, log: Log, *, start_s: float = 0.0, end_s: float = math.inf, tolerance_m: float | None = None
+) -> FreeRun:
+    """Run a machine by the force in a log alone, anew after every gap.
+
+    Args:
+        machine: with all its effects.
+        log: at the machine's rate.
+        start_s, end_s: the part that is run through [s since the log's first sample].
+        tolerance_m: error of the horizon [m]; None: 1 % of the range of the positions.
+
+    Raises:
+        InputError: a log without a force, or without a stretch long enough; an effect that the plant does not know.
+    """
+    record = MotionRecord(machine, log, start_s, end_s)
+    n = len(log)
+    runs, starts = record.run(machine, record.stretches)
+    simulated, since, compared = np.full(n, math.nan), np.zeros(n), np.zeros(n, dtype=bool)
+    for (first, end), positions in zip(record.stretches, runs, strict=True):
+        simulated[first:end], since[first:end] = positions, np.arange(end - first) / log.rate
+        compared[first + FIRST : end] = True
+    error = (simulated - record.position)[compared]
+    drift = float(np.polyfit(since[compared], error, 1)[0]) if np.isfinite(error).all() else math.nan
+    horizon = _find_horizon(machine, record, TOLERANCE * record.extent if tolerance_m is None else tolerance_m)
+    return FreeRun(
+        log.time_s, record.position, simulated, compared, tuple(starts), drift, horizon, log.source, log.kind
+    )
+
+
+def spread_shots(record: MotionRecord, length: int, count: int) -> list[tuple[int, int]]:
+    """Return shots of a length [samples], at most so many, that start evenly over all places where one fits."""
+    places = np.concatenate([np.arange(a, b - length + 1) for a, b in record.stretches])
+    chosen = np.unique(np.linspace(0, len(places) - 1, count).round().astype(int))
+    return [(int(a), int(a) + length) for a in places[chosen]]
+
+
+def _find_horizon(machine: Machine, record: MotionRecord, tolerance: float) -> Horizon:
+    """Shoot over half of the longest stretch, from starts spread over the record."""
+    length = max(b - a for a, b in record.stretches) // 2
+    shots = spread_shots(record, length, SHOTS)
+    runs, _ = record.run(machine, shots)
+    errors = np.array([run - record.position[a:b] for run, (a, b) in zip(runs, shots, strict=True)])
+    beyond = ~(np.sqrt(np.mean(errors**2, axis=0)) <= tolerance)
+    reached = bool(beyond.any())
+    samples = int(np.argmax(beyond)) if reached else length
+    return Horizon(samples / record.log.rate, reached, tolerance, len(shots))
