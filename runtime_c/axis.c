@@ -462,8 +462,8 @@ void axis_start(struct axis *axis, double position, double velocity, double stra
     axis->position = position;
     axis->velocity = velocity;
     for (int i = 0; i < axis->elements; ++i) {
-        const double most = break_away(axis, i);
-        axis->deflection[i] = fmin(fmax(axis->deflection[i] + strain * most, -most), most);
+        const double level = break_away(axis, i), most = fmax(level, fabs(axis->deflection[i]));
+        axis->deflection[i] = fmin(fmax(axis->deflection[i] + strain * level, -most), most);
     }
 }
 
@@ -698,10 +698,11 @@ void axis_follow(
     const double *logged,
     size_t length,
     size_t start,
-    size_t count)
+    size_t count,
+    double *acceleration)
 {
     for (size_t k = start; k < start + count; ++k) {
-        axis->acceleration = accelerate(axis, axis->velocity);
+        acceleration[k - start] = axis->acceleration = accelerate(axis, axis->velocity);
         run_prescribed(
             axis, reference_at(position, length, k), reference_at(position, length, k + 1),
             force_behind_log(axis, logged, length, k));

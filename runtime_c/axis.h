@@ -179,7 +179,7 @@ void axis_place(struct axis *axis, double position);
 void axis_move(struct axis *axis, double velocity, const double *deflection);
 
 /* Let an axis that follows a motion go on from it by itself: from this position and velocity, its elements deflected
- * further by so much of their break-away, none beyond it. */
+ * further by so much of their break-away, none by that beyond it. */
 void axis_start(struct axis *axis, double position, double velocity, double strain);
 
 /* Fill row `row` of the columns with the present state, without a step. 0 where the axis left the world. */
@@ -197,14 +197,16 @@ size_t axis_run(
     const struct axis_record *record);
 
 /* Let an axis that a force drives follow a measured motion [m] through `count` samples from sample `start`: all its
- * states become those of the motion and of the logged force [N]. */
+ * states become those of the motion and of the logged force [N]. Records the acceleration that the force would make of
+ * it before each sample, of the means over the sample that ends there. */
 void axis_follow(
     struct axis *axis,
     const double *position,
     const double *logged,
     size_t length,
     size_t start,
-    size_t count);
+    size_t count,
+    double *acceleration);
 
 /* Run an axis that a force drives by a logged one, which is linear between samples, and record what the encoder reads
  * [m] from sample `start` on. The samples recorded: fewer than `count` where the axis left the world. */

@@ -19,6 +19,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.free_run import FIRST, run_freely
+from sgms_mhe.recordings.output_error import Objective, refit_motion
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.errors import InputError
 
@@ -98,7 +99,8 @@ def test_command_and_function_say_the_same(small: Path, log: Log, tmp_path: Path
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda log: replace(log, friction_N=log.force_N), "columns = 'friction_N': a force"),
+        (lambda log: replace(log, friction_N=log.force_N), "a log with the force that moves the axis"),
+        (lambda log: replace(log, payload=True), "no mass beside it"),
         (lambda log: with_missing(log, *((k, k + 1) for k in range(0, len(log), 30))), "more than 40 in a row"),
     ],
 )
@@ -113,6 +115,65 @@ def test_a_model_that_runs_away_has_no_error(machine: Machine, log: Log) -> None
     away = override_machine(machine, {"effects": [{"name": "position_spring", "stiffness_N_m": -1e6, "centre_m": 0.0}]})
     found = run_freely(away, log).to_json()
     assert found["rms"] is None and found["drift_per_s"] is None and found["horizon"]["seconds"] < 1.0
+
+
+# --- fits to the motion ------------------------------------------------------------------------------------------
+
+WRONG = [{"mass": 1.1, "coulomb": 0.9, "viscous": 1.3}, {"mass": 0.85, "coulomb": 1.1, "viscous": 0.7}]
+
+
+@pytest.fixture(scope="module")
+def brisk(machine: Machine) -> Log:
+    """A record that slides, of an axis with an offset that the machine file does not have right."""
+    motion = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
+    return simulate_axis(machine, motion, AxisConfig(seed=3, force_noise_N=0.02, encoder_resolution_m=1e-8)).log
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("objective", ["motion", "both"])
+@pytest.mark.parametrize("wrong", WRONG)
+def test_several_starts_end_at_one_answer(
+    machine: Machine, brisk: Log, wrong: dict[str, float], objective: Objective
+) -> None:
+    true = {"mass": 20.0, "coulomb": 4.0, "viscous": 20.0}
+    start = {name: value * wrong[name] for name, value in true.items()}
+    table = {"plant": {"mass": start.pop("mass")}, "friction": start}
+    table["effects"] = [{"name": "constant_offset", "force_N": 0.2}]
+    refit = refit_motion(override_machine(machine, table), [brisk], objective)
+    for name, value in true.items():
+        assert refit.values[name] == pytest.approx(value, rel=0.01)
+        assert 0.0 < refit.std[name] < 0.1 * value
+    assert refit.values["constant_offset.force_N"] == pytest.approx(0.0, abs=0.01 * true["coulomb"])
+    assert refit.motion[0] < 0.05 * refit.motion[1] and refit.force[0] < 0.5 * refit.force[1]
+
+
+def test_numbers_that_are_given_stay(machine: Machine, brisk: Log) -> None:
+    refit = refit_motion(override_machine(machine, {"friction": {"viscous": 26.0}}), [brisk], "motion", {"mass"})
+    assert set(refit.values) == {"coulomb", "viscous"}
+    assert refit.values["viscous"] == pytest.approx(20.0, rel=0.01)
+
+
+@pytest.mark.slow
+def test_published_numbers_refitted_to_the_motion(measured_data: Callable[[str], Path]) -> None:
+    machine = load_machine("emps")
+    log = read_log(measured_data("emps/DATA_EMPS.mat"), machine).part(end_s=12.42)
+    motion, both = (refit_motion(machine, [log], objective) for objective in ("motion", "both"))
+    assert motion.motion[1] == pytest.approx(2.67e-3, rel=0.01) and motion.motion[0] < 1.9e-3
+    assert motion.motion[0] < both.motion[0] < 2.0e-3
+    assert both.force[0] < 1.05 * both.force[1] < motion.force[0]
+
+
+@pytest.mark.slow
+def test_identify_states_both_errors_and_refits(brisk: Log, tmp_path: Path) -> None:
+    write_log(tmp_path / "axis.csv", brisk)
+    results = {}
+    for objective in ("force", "motion"):
+        arguments = ("--out", tmp_path / "axis.toml", "--objective", objective, "--json")
+        results[objective] = json.loads(done("identify", tmp_path / "axis.csv", *arguments).stdout)
+    force, motion = (results[name]["free_run"][0]["rms"] for name in ("force", "motion"))
+    assert motion < force
+    assert any(sentence.startswith("refitted to the motion") for sentence in results["motion"]["limits"])
+    assert predict(tmp_path / "axis.toml", tmp_path / "axis.csv", free_run=True).motion.rms == pytest.approx(motion)  # type: ignore[union-attr]
 
 
 def test_published_parameters_in_free_run(measured_data: Callable[[str], Path]) -> None:

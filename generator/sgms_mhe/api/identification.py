@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args
 
 from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, list_sources, load, read_log
 from sgms_mhe.configuration import override_log
@@ -13,6 +13,7 @@ from sgms_mhe.identification import Identification, Wanted
 from sgms_mhe.identification import identify as identify_logs
 from sgms_mhe.machine import Machine, Units
 from sgms_mhe.machine.writing import toml_log
+from sgms_mhe.recordings.output_error import Objective
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import read_only
 from sgms_mhe.support.options import Option
@@ -27,6 +28,7 @@ def identify(
     elements: int | None = None,
     like: Annotated[str | Path | Machine | None, Option("MACHINE")] = None,
     table: Mapping[str, Any] | None = None,
+    objective: Annotated[Literal["force", "motion", "both"], Option()] = "force",
     note: Note | None = None,
     progress: Step | None = None,
 ) -> Identification:
@@ -40,6 +42,8 @@ def identify(
         elements: number of friction elements, 1 to 10; None: as many as held-out data gain by.
         like: take sampling, estimator, code and [log] from this machine.
         table: content of a table `[log]`, laid over that of `like`; without `like` it stands in the file.
+        objective: force: all numbers are fitted to it; motion: mass, level, damping and sizes of effects then once
+            more, to the motion that the force alone makes; both: each error over its noise.
         note: called with each sentence on how the logs were read; None: they are `LogWarning`s.
         progress: called with each step; None: the logger `sgms_mhe.progress` is.
 
@@ -49,12 +53,14 @@ def identify(
     Raises:
         InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
     """
+    if objective not in get_args(Objective):
+        raise InputError("identify", "objective", objective, f"one of {', '.join(get_args(Objective))}")
     model = None if like is None else override_log(load(like), table or {})
     read = [read_log(log, model, table=table, note=note) for log in list_sources(logs)]
     if not read:
         raise InputError("identify", "logs", [], "at least one")
     moved = _moved_mass(read[0].units, mass, inertia)
-    found = identify_logs(read, Wanted(name, moved, elements, model), progress or LOGGER.info)
+    found = identify_logs(read, Wanted(name, moved, elements, model, objective), progress or LOGGER.info)
     own = toml_log(table, read[0].kind) if table and model is None else ""
     return read_only(replace(found, toml=found.toml + own))
 

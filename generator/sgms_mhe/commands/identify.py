@@ -12,11 +12,15 @@ from sgms_mhe.commands import common
 from sgms_mhe.commands.log_options import load_for_log
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.decisions import trace_decisions
+from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.record_residual import MachineResidual
     from sgms_mhe.identification import Identification
+    from sgms_mhe.machine import Machine
+    from sgms_mhe.recordings.free_run import FreeRun
+    from sgms_mhe.signals.logs import Log
 
 
 @make_command(
@@ -69,14 +73,32 @@ def command(
         )
     write_text(out, found.toml)
     residuals = [measure_residual(found.machine, record) for record in read]
+    motions = [_run_freely(found.machine, record) for record in read]
     if json:
         stated = found.machine.plant.units.keyed({"residual_of_file": [residual.to_json() for residual in residuals]})
-        common.show(common.json_text(found.to_json() | stated | {"file": str(out)}), out)
+        stated |= {"free_run": [None if motion is None else motion.to_json() for motion in motions], "file": str(out)}
+        common.show(common.json_text(found.to_json() | stated), out)
     else:
-        common.show(_text(found, residuals, [path.name for path in log], out), out)
+        common.show(_text(found, residuals, motions, [path.name for path in log], out), out)
 
 
-def _text(found: Identification, residuals: Sequence[MachineResidual], names: Sequence[str], out: Path) -> str:
+def _run_freely(machine: Machine, log: Log) -> FreeRun | None:
+    """Return the free run along a log; None where it allows none."""
+    from sgms_mhe.recordings.free_run import run_freely
+
+    try:
+        return run_freely(machine, log)
+    except InputError:
+        return None
+
+
+def _text(
+    found: Identification,
+    residuals: Sequence[MachineResidual],
+    motions: Sequence[FreeRun | None],
+    names: Sequence[str],
+    out: Path,
+) -> str:
     units = found.machine.plant.units
     rows = [
         [units.named(n.name), n.interval, n.note or ("" if n.determined else "not determined")] for n in found.numbers
@@ -92,6 +114,7 @@ def _text(found: Identification, residuals: Sequence[MachineResidual], names: Se
     lines += [
         f"{residual.describe(units)}, of the file along {name}" for residual, name in zip(residuals, names, strict=True)
     ]
+    lines += [f"{motion.describe()}, along {name}" for motion, name in zip(motions, names, strict=True) if motion]
     lines += [f"open: {sentence}" for sentence in found.limits]
     lines += [f"note: {warning}" for warning in found.warnings]
     lines.append(f"machine file: {out}")

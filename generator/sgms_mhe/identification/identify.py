@@ -55,6 +55,7 @@ from sgms_mhe.model.effects import MOVES, Measure, effect_definition
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.recordings.evidence import largest_force, noise_floor
 from sgms_mhe.recordings.excitation import measure_excitation
+from sgms_mhe.recordings.output_error import Objective, refit_motion
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import readings, signals_from_log, signals_of_record
 from sgms_mhe.signals.innovations import find_colour
@@ -95,6 +96,7 @@ class Wanted:
         mass: moved mass [kg], or inertia [kg m^2]; None: that of the motion.
         elements: their number; None: what the records show.
         like: a machine whose sampling, estimator, code and `[log]` are taken over; None: none.
+        objective: norm of the last fit of mass, level, damping and sizes of effects.
         per_decade: distances of the convex start's grid; the result does not depend on it.
     """
 
@@ -102,6 +104,7 @@ class Wanted:
     mass: float | None = None
     elements: int | None = None
     like: Machine | None = None
+    objective: Objective = "force"
     per_decade: float = PER_DECADE
 
 
@@ -424,17 +427,28 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     given_step = records.machine.sampling.position_step
     step = given_step or max(float(f"{encoder_step(readings(log).position_m):.6g}") for log in logs)
     base = override_machine(records.machine, {"sampling": {"position_step": step}})
+    if wanted.objective != "force":
+        report("motion")
+        fixed = {number.name for number in numbers if not math.isfinite(number.std)}
+        draft = make_machine(machine_content(base, law, numbers, {}), path)
+        refit = refit_motion(draft, logs, wanted.objective, fixed)
+        numbers = tuple(
+            replace(n, value=refit.values[n.name], std=refit.std[n.name]) if n.name in refit.values else n
+            for n in numbers
+        )
+        limits.append(refit.describe(units))
     noise = {"measurement": measurement_noise(make_machine(machine_content(base, law, numbers, {}), path), logs)}
     noise["colour"] = innovation_colour(make_machine(machine_content(base, law, numbers, noise), path), logs)
     content = machine_content(base, law, numbers, noise)
     # It says of the axis what no log does; while numbers were fitted, it would have been one of them.
     if wanted.like is not None and "disturbance" in wanted.like.content.get("estimator", {}):
         content["estimator"]["disturbance"] = wanted.like.content["estimator"]["disturbance"]
+    to_force = "" if refit is None else f" to the {units.push}"
     head = [
         f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
         "Intervals are two standard deviations.",
-        f"Residual on blocks that the fit had not seen: {final.held_out_rms:.3g} {units.force} rms; noise floor "
-        f"{floor:.3g} {units.force}.",
+        f"Residual on blocks that the fit{to_force} had not seen: {final.held_out_rms:.3g} {units.force} rms; noise "
+        f"floor {floor:.3g} {units.force}.",
         *limits,
     ]
     toml = machine_toml(units, content, numbers, head)

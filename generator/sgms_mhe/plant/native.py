@@ -108,7 +108,7 @@ def loaded_library() -> Library:
         "axis_place": (None, [axis, number]),
         "axis_run": (size, [axis, ctypes.c_void_p, size, size, size, ctypes.POINTER(_Record)]),
         "axis_start": (None, [axis, number, number, number]),
-        "axis_follow": (None, [axis, ctypes.c_void_p, ctypes.c_void_p, size, size, size]),
+        "axis_follow": (None, [axis, ctypes.c_void_p, ctypes.c_void_p, size, size, size, ctypes.c_void_p]),
         "axis_run_free": (size, [axis, ctypes.c_void_p, size, size, size, ctypes.c_void_p]),
     }
     for name, (result, arguments) in signatures.items():
@@ -316,11 +316,25 @@ class NativeAxis:
                 "parameters with which the position loop is stable; this axis runs away beyond 4e6 m or 1e9 N",
             )
 
-    def follow(self, position: Array, force: Array, start: int, end: int) -> None:
-        """Follow a measured motion under a logged force: all states become those at sample `end`."""
-        self._c.axis_follow(
-            self._memory, position.ctypes.data, force.ctypes.data, len(force), start, max(0, end - start)
-        )
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the limits of a true number."""
+        limits = self._numbers[name].limits
+        return limits.low, limits.high
+
+    def number(self, name: str) -> float:
+        """Return a true number."""
+        return self._numbers[name].value
+
+    def follow(self, position: Array, force: Array, start: int, end: int) -> Array:
+        """Follow a measured motion under a logged force: all states become those at sample `end`.
+
+        Returns:
+            Acceleration that the force would make (end - start) [m/s^2], half a sample before each.
+        """
+        acceleration = np.empty(end - start)
+        args = (position.ctypes.data, force.ctypes.data, len(force), start, end - start, acceleration.ctypes.data)
+        self._c.axis_follow(self._memory, *args)
+        return acceleration
 
     def run_free(self, force: Array, start: int, end: int, position: float, velocity: float, strain: float) -> Array:
         """Return positions that a logged force makes of samples `start` to `end`, and be as before.

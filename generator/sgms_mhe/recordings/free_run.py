@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -34,14 +35,17 @@ LONGEST_STEP_S: Final = 1e-4
 STEPS_PER_RADIAN: Final = 10.0
 """Of the fastest oscillation: its period is then right to 0.04 %."""
 SHOTS: Final = 20
+ROWS_HZ: Final = 100.0
 TOLERANCE: Final = 0.01
 """Error of a horizon over the range of the record's positions."""
 SMALLEST: Final = 1e-9
 """Noise over that range, at least: a simulated position has no other."""
 
+_NONE: Final[Mapping[str, float]] = MappingProxyType({})
+
 
 @dataclass(frozen=True)
-class Start:
+class ShotStart:
     """State that a shot starts from: position [m], velocity [m/s], strain added to that of the motion."""
 
     sample: int
@@ -51,7 +55,7 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Horizon:
+class MotionHorizon:
     """Longest time after a start up to which the RMS error over all starts stays within a bound.
 
     Attributes:
@@ -79,9 +83,9 @@ class FreeRun(Shown):
     position_m: Array
     simulated_position_m: Array
     compared: NDArray[np.bool_]
-    starts: tuple[Start, ...]
+    starts: tuple[ShotStart, ...]
     drift_m_s: float
-    horizon: Horizon
+    horizon: MotionHorizon
     source: str
     kind: Kind = "linear"
 
@@ -153,8 +157,9 @@ class MotionRecord:
 
     def __init__(self, machine: Machine, log: Log, start_s: float = 0.0, end_s: float = math.inf) -> None:
         check_rate(log, machine)
-        if log.is_friction_alone:
-            raise InputError(log.source or "log", "columns", log.units.named("friction_N"), f"a {log.units.push}")
+        if log.is_friction_alone or log.payload:
+            said = f"a log with the {log.units.push} that moves the axis, and no mass beside it"
+            raise InputError(log.source or "log", "free run", log.units.named("friction_N"), said)
         log = readings(log)
         self.log, self.position = log, log.position_m
         good = np.isfinite(log.position_m) & np.isfinite(log.force_N)
@@ -167,28 +172,28 @@ class MotionRecord:
         self._is_fresh = ~np.concatenate(([False], good[:-1]))
         k = np.arange(len(log))
         filled = np.interp(k, k[good], log.position_m[good])
-        sos = butter(2, machine.sampling.velocity_cutoff, fs=log.rate, output="sos")
-        self._followed = np.ascontiguousarray(sosfiltfilt(sos, filled))
+        self._sos = butter(2, machine.sampling.velocity_cutoff, fs=log.rate, output="sos")
+        self._followed = np.ascontiguousarray(sosfiltfilt(self._sos, filled))
         self._force = np.ascontiguousarray(np.interp(k, k[good], log.force_N[good]))
         self.extent = float(np.ptp(log.position_m[good]))
         step = machine.sampling.position_step or encoder_step(log.position_m)
         self.noise = max(position_noise(log.position_m), step / math.sqrt(12.0), SMALLEST * self.extent)
 
+    def axis(self, machine: Machine, parameters: Mapping[str, float] = _NONE) -> NativeAxis:
+        """Return a machine's axis that a force drives, at rest at the first sample, with these true numbers."""
+        axis = NativeAxis(_at_rate(machine, self.log.rate), _config(machine, self.log.rate), ())
+        for name, value in parameters.items():
+            axis.replace(name, value)
+        axis.place(float(self._followed[0]))
+        return axis
+
     def run(
-        self,
-        machine: Machine,
-        shots: Sequence[tuple[int, int]],
-        starts: Sequence[Start] = (),
-        parameters: Mapping[str, float] | None = None,
-    ) -> tuple[list[Array], list[Start]]:
-        """Run a machine freely through shots (first sample, that after the last), in the order of time.
+        self, axis: NativeAxis, shots: Sequence[tuple[int, int]], starts: Sequence[ShotStart] = ()
+    ) -> tuple[list[Array], list[ShotStart]]:
+        """Run an axis freely through shots (first sample, that after the last), in the order of time.
 
         `starts` of an earlier run are taken over; without them each is estimated from its first samples.
         """
-        axis = NativeAxis(_at_rate(machine, self.log.rate), _config(machine, self.log.rate), ())
-        for name, value in (parameters or {}).items():
-            axis.replace(name, value)
-        axis.place(float(self._followed[0]))
         here, runs, taken = 0, [], []
         for i, (first, end) in enumerate(shots):
             axis.follow(self._followed, self._force, here, first)
@@ -198,7 +203,18 @@ class MotionRecord:
             taken.append(start)
         return runs, taken
 
-    def _estimate(self, axis: NativeAxis, first: int) -> Start:
+    def rows(self, shots: Sequence[tuple[int, int]]) -> list[tuple[int, int, int]]:
+        """Return shots with the step between samples that a fit compares."""
+        return [(a, b, max(1, round(self.log.rate / ROWS_HZ))) for a, b in shots]
+
+    def force_residual(self, axis: NativeAxis) -> Array:
+        """Return force by the model minus measured force along the measured motion (n), low-passed [N]."""
+        acceleration = axis.follow(self._followed, self._force, 0, len(self._force))
+        moved = np.pad(np.diff(self._followed, 2), 1, mode="edge") * self.log.rate**2
+        before = 0.5 * (moved + np.concatenate((moved[:1], moved[:-1])))
+        return axis.number("mass") * np.asarray(before - sosfiltfilt(self._sos, acceleration))
+
+    def _estimate(self, axis: NativeAxis, first: int) -> ShotStart:
         """Return the start that fits its first samples best; strains only where no motion before them tells them.
 
         Least squares in position, velocity and strain, of which a standard deviation of 1 is known before.
@@ -214,7 +230,7 @@ class MotionRecord:
             return np.append(np.nan_to_num((moved - measured) / self.noise, nan=1e9), x[2])
 
         found = least_squares(residual, np.zeros(3), bounds=([-np.inf, -np.inf, -1.0], [np.inf, np.inf, 1.0]))
-        return Start(first, *(guess + scale * found.x).tolist())
+        return ShotStart(first, *(guess + scale * found.x).tolist())
 
 
 def _at_rate(machine: Machine, rate: float) -> Machine:
@@ -254,7 +270,7 @@ def run_freely(
     """
     record = MotionRecord(machine, log, start_s, end_s)
     n = len(log)
-    runs, starts = record.run(machine, record.stretches)
+    runs, starts = record.run(record.axis(machine), record.stretches)
     simulated, since, compared = np.full(n, math.nan), np.zeros(n), np.zeros(n, dtype=bool)
     for (first, end), positions in zip(record.stretches, runs, strict=True):
         simulated[first:end], since[first:end] = positions, np.arange(end - first) / log.rate
@@ -274,13 +290,13 @@ def spread_shots(record: MotionRecord, length: int, count: int) -> list[tuple[in
     return [(int(a), int(a) + length) for a in places[chosen]]
 
 
-def _find_horizon(machine: Machine, record: MotionRecord, tolerance: float) -> Horizon:
+def _find_horizon(machine: Machine, record: MotionRecord, tolerance: float) -> MotionHorizon:
     """Shoot over half of the longest stretch, from starts spread over the record."""
     length = max(b - a for a, b in record.stretches) // 2
     shots = spread_shots(record, length, SHOTS)
-    runs, _ = record.run(machine, shots)
+    runs, _ = record.run(record.axis(machine), shots)
     errors = np.array([run - record.position[a:b] for run, (a, b) in zip(runs, shots, strict=True)])
     beyond = ~(np.sqrt(np.mean(errors**2, axis=0)) <= tolerance)
     reached = bool(beyond.any())
     samples = int(np.argmax(beyond)) if reached else length
-    return Horizon(samples / record.log.rate, reached, tolerance, len(shots))
+    return MotionHorizon(samples / record.log.rate, reached, tolerance, len(shots))
