@@ -53,8 +53,9 @@ def identify(
     Raises:
         InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
     """
-    if objective not in get_args(Objective):
-        raise InputError("identify", "objective", objective, f"one of {', '.join(get_args(Objective))}")
+    known: tuple[str, ...] = get_args(Objective)
+    if objective not in known:
+        raise InputError("identify", "objective", objective, f"one of {', '.join(known)}")
     model = None if like is None else override_log(load(like), table or {})
     read = [read_log(log, model, table=table, note=note) for log in list_sources(logs)]
     if not read:
