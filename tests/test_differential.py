@@ -15,7 +15,7 @@ from c_packages import PRECISIONS, Array, elements, machine, scheme
 from reference_cases import estimate_once, linear_model
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
 from sgms_mhe.machine import Machine, merge_tables
 from sgms_mhe.model import Model
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -242,6 +242,14 @@ def test_what_the_compiler_takes_longer_for_is_the_same_to_the_bit(precision: st
     )
     for name in ("friction_N", "z_m", "parameters", "std", "status"):
         np.testing.assert_array_equal(getattr(quick, name), getattr(thorough, name), err_msg=name)
+
+
+@pytest.mark.parametrize("name", ["axis", "replay", "predict"])
+def test_a_machine_may_have_the_name_of_a_source_of_the_runtime(name: str) -> None:
+    settings = machine(name=name, estimator={"kind": "ekf"})
+    signals = signals_of(settings)
+    assert np.all(compiled(settings).estimate(signals).status >= 0)
+    assert np.isfinite(CompiledModel(settings).predict(signals).friction_N).all()
 
 
 @pytest.mark.parametrize(("kind", "relinearise"), [("mhe", "all"), ("mhe", "auto"), ("mhe", "newest"), ("ekf", "all")])

@@ -201,8 +201,8 @@ class CompiledEstimator:
     ) -> None:
         self.machine = machine
         self.model = model or build_model(machine)
-        sources = (f"{machine.name}.c", "replay.c", *map(str, beside))
-        self.library = load_library(_compile(package or cached_package(machine), flags, *sources))
+        sources = ("replay.c", *map(str, beside))
+        self.library = load_library(_compile(package or cached_package(machine), flags, *sources, whole=True))
         self.library.sgms_replay_memory.restype = ctypes.c_size_t
         self.library.sgms_replay_run.restype = ctypes.c_long
         self._columns = int(self.library.sgms_replay_columns())
@@ -337,13 +337,13 @@ def _arrays(signals: Log | Signals) -> dict[str, NDArray[Any]]:
     }
 
 
-def _compile(package: Package, flags: Sequence[str], *sources: str) -> Path:
-    """Compile sources of a package, or of the runtime, against the package's headers; return the shared library."""
+def _compile(package: Package, flags: Sequence[str], *sources: str, whole: bool = False) -> Path:
+    """Compile sources of the runtime against a package's headers, with its own if `whole`; return the library."""
     machine = package.machine
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / machine.name
         write_package(package, folder)
-        paths = [folder / name if name in package.files else runtime_dir() / name for name in sources]
+        paths = [folder / f"{machine.name}.c"] * whole + [runtime_dir() / name for name in sources]
         return shared_library(
             paths,
             include_dirs=[folder, runtime_dir()],
@@ -357,6 +357,7 @@ def replay_definitions(name: str, kind: Kind = "linear") -> list[str]:
         *(["-DSGMS_ROTARY"] if kind == "rotary" else []),
         f"-DSGMS_MACHINE={name}",
         f"-DSGMS_MACHINE_UPPER={name.upper()}",
-        f'-DSGMS_MACHINE_HEADER="{name}.h"',
-        f'-DSGMS_INTEGRATOR_HEADER="{name}_integrator.h"',
+        # In angles: beside a source there may be a header of the same name.
+        f"-DSGMS_MACHINE_HEADER=<{name}.h>",
+        f"-DSGMS_INTEGRATOR_HEADER=<{name}_integrator.h>",
     ]

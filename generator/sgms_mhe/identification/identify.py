@@ -427,6 +427,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     given_step = records.machine.sampling.position_step
     step = given_step or max(float(f"{encoder_step(readings(log).position_m):.6g}") for log in logs)
     base = override_machine(records.machine, {"sampling": {"position_step": step}})
+    refit = None
     if wanted.objective != "force":
         report("motion")
         fixed = {number.name for number in numbers if not math.isfinite(number.std)}
