@@ -77,6 +77,7 @@ def test_etel_xy_paper_differs_only_in_the_estimator() -> None:
         "parameter_drift": 0.0,
         "initial_state": 1.0,
         "state_as": "deflection",
+        "colour": 1.0,
         "self_scaling": False,
     }
     assert paper.sampling.readings_per_update == 1
