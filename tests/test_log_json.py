@@ -58,6 +58,26 @@ def test_samples_are_found_wherever_they_are(layout: Callable[[Columns], Any], i
         np.testing.assert_array_equal(getattr(found, name), values)
 
 
+def test_runs_of_a_servo_need_no_units_of_time_and_angle(tmp_path: Path) -> None:
+    """As better-actuator-models records them; its `load`, a signed number that is stored unsigned, is the user's."""
+    columns = motion(1)
+    entries = [
+        {"timestamp": t, "position": q, "goal_position": q, "load": round(1000.0 * f) % 65536, "torque_enable": True}
+        for t, q, f in zip(*(values.tolist() for values in columns.values()), strict=True)
+    ]
+    path = tmp_path / "run.json"
+    run = {"mass": 0.5, "length": 0.1, "kp": 100, "vin": 7.4, "entries": entries}
+    path.write_text(json.dumps(run))
+    table = {"torque_Nm": {"variable": "load", "scale": 1e-3, "signed": 16}}
+    found = read_log(path, table=table)
+    for name, values in zip(("time_s", "position_m", "force_N"), columns.values(), strict=True):
+        np.testing.assert_allclose(getattr(found, name), values, atol=6e-4 if name == "force_N" else 0.0)
+    del run["kp"]
+    path.write_text(json.dumps(run))
+    with pytest.raises(InputError, match="timestamp is there without a unit"):
+        read_log(path, table=table)
+
+
 def test_messages_of_joints_have_paths(tmp_path: Path) -> None:
     first, second = motion(2), motion(3)
     lines = [

@@ -14,6 +14,11 @@ from sgms_mhe.support.errors import InputError
 SUFFIXES: Final = (".json", ".jsonl", ".ndjson")
 """Suffixes of JSON, and of lines of it."""
 
+RUN: Final = {"entries", "mass", "length", "kp", "vin"}
+"""Members of a run of a servo with a weight on its arm, as better-actuator-models records it."""
+RUN_UNITS: Final = {"timestamp": "s", "position": "rad", "goal_position": "rad"}
+"""Of its entries, which state none."""
+
 _ALLOWED: Final = "lines or a list of objects, one a sample, or an object with an array for each signal"
 
 
@@ -23,7 +28,7 @@ def find_samples(path: Path, text: str) -> Dialect:
     Raises InputError for what is no JSON, and for JSON without samples.
     """
     try:
-        samples = _samples(path, text)
+        samples, units = _samples(path, text)
         flat = [(line, dict(_flatten("", sample))) for line, sample in samples]
     except RecursionError:
         raise InputError(path, "file", "objects within objects", _ALLOWED) from None
@@ -31,18 +36,19 @@ def find_samples(path: Path, text: str) -> Dialect:
     if not names:
         raise InputError(path, "file", "no samples", _ALLOWED)
     rows = tuple((line, "\t".join(fields.get(name, "") for name in names)) for line, fields in flat)
-    return Dialect("\t", ".", Header(0, names), rows, 0, (), 0)
+    return Dialect("\t", ".", Header(0, names, tuple(units.get(name, "") for name in names)), rows, 0, (), 0)
 
 
-def _samples(path: Path, text: str) -> list[tuple[int, Any]]:
-    """(line, sample); the line is 0 where samples are no lines."""
+def _samples(path: Path, text: str) -> tuple[list[tuple[int, Any]], Mapping[str, str]]:
+    """(line, sample), the line 0 where samples are no lines; and units by name that the format has."""
     try:
         whole = json.loads(text)
     except json.JSONDecodeError as error:
         if not error.msg.startswith("Extra data"):
             raise InputError(path, f"line {error.lineno}", error.msg, f"JSON: {_ALLOWED}") from None
     else:
-        return [(0, sample) for sample in _find(whole) or []]
+        units = RUN_UNITS if isinstance(whole, dict) and whole.keys() >= RUN else {}
+        return [(0, sample) for sample in _find(whole) or []], units
     found = []
     for number, line in enumerate(lines_of(text), start=1):
         if line.strip():
@@ -50,7 +56,7 @@ def _samples(path: Path, text: str) -> list[tuple[int, Any]]:
                 found.append((number, json.loads(line)))
             except json.JSONDecodeError as error:
                 raise InputError(path, f"line {number}", error.msg, "an object of JSON in each line") from None
-    return found
+    return found, {}
 
 
 def _find(content: Any) -> list[Any] | None:
