@@ -344,6 +344,15 @@ def test_estimate_says_which_prior_the_data_contradict(small: Path, log: Path, t
     assert "its prior" not in done("estimate", small, *arguments).stderr
 
 
+def test_estimate_says_what_to_do_where_it_is_in_doubt(small: Path, log: Path, tmp_path: Path) -> None:
+    heavy = tmp_path / "heavy.toml"
+    heavy.write_text(small.read_text().replace("mass = 20.0", "mass = 200.0"))
+    assert "mass = 200.0" in heavy.read_text()
+    said = [done("estimate", machine, log, "--out", tmp_path / "e.csv").stderr for machine in (small, heavy)]
+    assert re.search(r"in DOUBT of \d+ % of the updates: .* diagnose", said[1])
+    assert "DOUBT" not in said[0]
+
+
 def test_c_and_reference_say_the_same(small: Path, log: Path, tmp_path: Path) -> None:
     ours, theirs = tmp_path / "c.csv", tmp_path / "r.csv"
     done("estimate", small, log, "--out", ours)

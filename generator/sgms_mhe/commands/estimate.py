@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 PRIOR_FITS: Final = 3.0
 """Deviations of its prior from the machine file within which a parameter is where that expects it."""
+DOUBTED: Final = 0.05
+"""Share of the updates in doubt from which on there is something to do."""
 
 
 @make_command(
@@ -57,6 +59,7 @@ def command(
         _draw(machine, estimates, plot)
     note_wrong_noise(machine, estimates)
     note_wrong_priors(machine, estimates)
+    note_doubt(estimates)
     summary = summarise(machine, estimates, solver)
     common.show(common.json_text(machine.plant.units.keyed(summary)) if json else summary_text(machine, summary), out)
 
@@ -93,6 +96,18 @@ def note_wrong_priors(machine: Machine, estimates: Estimates) -> None:
                 f"({stated:.3g}) from the file's {parameter.nominal:.4g}: the file is off, or the prior too narrow "
                 f"(estimator.prior, estimator.noise.parameter)"
             )
+
+
+def note_doubt(estimates: Estimates) -> None:
+    """Say that the measurements contradict the model, and what to do then."""
+    from sgms_mhe.signals.status import FLAGS
+
+    share = float((estimates.status & FLAGS["doubt"] != 0).mean())
+    if share > DOUBTED:
+        common.note(
+            f"in DOUBT of {100.0 * share:.0f} % of the updates: measurements contradict the model, beyond what it is "
+            "known for; sgms-mhe diagnose looks for what it lacks"
+        )
 
 
 def summarise(machine: Machine, estimates: Estimates, solver: str) -> dict[str, Any]:
