@@ -246,7 +246,7 @@ def test_an_axis_that_turns_is_identified(tmp_path: Path) -> None:
         "sampling": {"rate": 2000.0, "update_rate": 100.0, "velocity_cutoff": 200.0, "max_velocity": 1.2},
     }
     truth = make_machine(content, Path("truth.toml"))
-    log = moved(truth, 14.0)
+    log = moved(truth, seconds=14.0)
     write_log(tmp_path / "log.csv", log)
     said = done("identify", tmp_path / "log.csv", "--out", tmp_path / "axis.toml", "--inertia", "0.2", "--json").stdout
     found = json.loads(said)

@@ -200,6 +200,13 @@ CORES = [
 ]
 
 
+def test_returns_0_for_an_axis_of_known_colour(require_tool: Tool, tmp_path: Path) -> None:
+    """Factors that are last stated hold the colour: with it in them again, damaged means would state them twice."""
+    noise = {"colour": 4.0}
+    folder = written(package_of(selftest=True, estimator={"kind": "ekf", "noise": noise}), tmp_path)
+    assert answer(require_tool("gcc"), folder, tmp_path, "-O1") == 0
+
+
 @pytest.mark.parametrize("target", CORES)
 def test_returns_0_on_the_target(target: Target, tmp_path: Path) -> None:
     """Linked without a library, run by the emulator, in single precision throughout; its exit code is the answer."""

@@ -201,6 +201,7 @@ static void start_lasting(etel_xy_t *self)
 static SGMS_COLD void restore_lasting(etel_xy_t *self)
 {
     start_lasting(self);
+    self->lasting.squares = COLOUR_FIRST; /* the colour is in those factors */
     copy(self->lasting.moved, self->estimate.spread, PARAMETERS);
     self->lasting.sum = sum_of_lasting(self);
 }

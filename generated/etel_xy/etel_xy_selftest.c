@@ -1181,15 +1181,15 @@ static int keeps_spread(etel_xy_t *axis, motion *m)
                                  axis->lasting.taken };
     for (int k = -1; k < 6; k++) {
         for (int p = 0; p < PARAMETERS; p++) {
-            axis->estimate.spread[p] = 3.0 + (sgms_real)(k + p);
+            axis->estimate.spread[p] = COLOUR_KNOWN * (3.0 + (sgms_real)(k + p));
         }
         if (k >= 0) {
             *mean[k] = *mean[k] * 16.0 + 1.0;
         }
         good = go_along(axis, BY_SAMPLE, m, SAMPLES, &force) && etel_xy_feedback(axis) >= 0 && good;
         for (int p = 0; p < PARAMETERS; p++) {
-            good = good && is_near(axis->estimate.spread[p], 3.0 + (sgms_real)(k + p), 0.0) ==
-                (k >= 0);
+            good = good && is_near(axis->estimate.spread[p],
+                COLOUR_KNOWN * (3.0 + (sgms_real)(k + p)), 0.0) == (k >= 0);
         }
     }
     return good;
