@@ -17,7 +17,7 @@ from sgms_mhe.identification.description import STAND_IN, _number
 from sgms_mhe.identification.fits import NumberEstimate
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.status import FLAGS
+from sgms_mhe.signals.status import measure_doubt
 
 Array = NDArray[np.float64]
 COUNT = 2.0 * math.pi / 2**14
@@ -174,15 +174,15 @@ def test_an_estimator_is_quiet_on_the_logs_that_made_it_and_loud_on_another_axis
 
         return joint_log(velocity, rate, COUNT, torque)
 
-    def doubted(machine: Machine, log: Log) -> float:
-        return float(np.mean(estimate(machine, log).status & FLAGS["doubt"] != 0))
+    def doubt(machine: Machine, log: Log) -> float:
+        return measure_doubt(estimate(machine, log).status)
 
     made = log(1, 0.0)
     machine = identify([made], Wanted("joint")).machine
     unknown = override_machine(machine, {"estimator": {"noise": {"colour": 1.0}}})
-    assert doubted(unknown, made) > 0.8 and doubted(machine, made) <= 0.05
-    assert doubted(machine, log(2, 0.0)) < 0.5 * doubted(unknown, log(2, 0.0))
-    assert doubted(machine, log(4, 0.5)) > 0.9
+    assert doubt(unknown, made) > 0.8 and doubt(machine, made) <= 0.05
+    assert doubt(machine, log(2, 0.0)) < 0.5 * doubt(unknown, log(2, 0.0))
+    assert doubt(machine, log(4, 0.5)) > 0.9
 
 
 # --- at rest within a count ------------------------------------------------------------------------------------------

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 PRIOR_FITS: Final = 3.0
 """Deviations of its prior from the machine file within which a parameter is where that expects it."""
-DOUBTED: Final = 0.05
-"""Share of the updates in doubt from which on there is something to do."""
 
 
 @make_command(
@@ -100,10 +98,10 @@ def note_wrong_priors(machine: Machine, estimates: Estimates) -> None:
 
 def note_doubt(estimates: Estimates) -> None:
     """Say that the measurements contradict the model, and what to do then."""
-    from sgms_mhe.signals.status import FLAGS
+    from sgms_mhe.signals.status import MOST_DOUBT, measure_doubt
 
-    share = float((estimates.status & FLAGS["doubt"] != 0).mean())
-    if share > DOUBTED:
+    share = measure_doubt(estimates.status)
+    if share > MOST_DOUBT:
         common.note(
             f"in DOUBT of {100.0 * share:.0f} % of the updates: measurements contradict the model, beyond what it is "
             "known for; sgms-mhe diagnose looks for what it lacks"
@@ -136,14 +134,11 @@ def summary_text(machine: Machine, summary: dict[str, Any]) -> str:
 
 
 def _draw(machine: Machine, estimates: Estimates, folder: Path) -> None:
-    from sgms_mhe.evaluation.plots import friction_figure, parameter_figure, save_figure
+    from sgms_mhe.evaluation.plots import friction_figure, parameter_figure
     from sgms_mhe.model import build_model
 
-    common.make_folder(folder)
     figures = {
         "friction.png": friction_figure(estimates, machine.name),
         "parameters.png": parameter_figure(estimates, build_model(machine).parameters, machine.name),
     }
-    for name, figure in figures.items():
-        save_figure(folder / name, figure)
-        common.note(f"drawn: {folder / name}")
+    common.save_figures(folder, figures)

@@ -11,8 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.configuration import make_machine, override_machine, step_every_sample
-from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
+from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.identification.description import (
     MISFIT,
     FrictionError,
@@ -25,6 +24,7 @@ from sgms_mhe.identification.description import (
     mass_number,
     unknown_mass,
 )
+from sgms_mhe.identification.estimator_noise import measure_colour, measure_noise
 from sgms_mhe.identification.final_fit import (
     FinalIdentification,
     Known,
@@ -57,11 +57,9 @@ from sgms_mhe.recordings.evidence import largest_force, noise_floor
 from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.recordings.output_error import Objective, refit_motion
 from sgms_mhe.recordings.recording import Recording
-from sgms_mhe.signals.chain import readings, signals_from_log, signals_of_record
-from sgms_mhe.signals.innovations import find_colour
+from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import encoder_step
-from sgms_mhe.signals.status import FLAGS
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import one_library_thread
@@ -80,11 +78,6 @@ AS_MUCH: Final = 0.9
 LEAST_SQUARES: Final = (
     "the file is that of least squares of mass, Coulomb and viscous friction and forces over the place"
 )
-DOUBTED: Final = 0.05
-"""Share of the updates of the logs that made a machine, in which its estimator may doubt it."""
-TRIALS: Final = 6
-LEAST_NOISE: Final = 1e-4
-"""Of the Coulomb level: a simulation without noise still has rounding and a sample's length."""
 
 
 @dataclass(frozen=True)
@@ -438,8 +431,8 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
             for n in numbers
         )
         limits.append(refit.describe(units))
-    noise = {"measurement": measurement_noise(make_machine(machine_content(base, law, numbers, {}), path), logs)}
-    noise["colour"] = innovation_colour(make_machine(machine_content(base, law, numbers, noise), path), logs)
+    noise = {"measurement": measure_noise(make_machine(machine_content(base, law, numbers, {}), path), logs)}
+    noise["colour"] = measure_colour(make_machine(machine_content(base, law, numbers, noise), path), logs)
     content = machine_content(base, law, numbers, noise)
     # It says of the axis what no log does; while numbers were fitted, it would have been one of them.
     if wanted.like is not None and "disturbance" in wanted.like.content.get("estimator", {}):
@@ -472,37 +465,3 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         by_count=found.counts,
         sources=records.names,
     )
-
-
-def measurement_noise(machine: Machine, logs: Sequence[Log]) -> float:
-    """Return the RMS [N] of measured minus simulated friction over all valid samples of all logs.
-
-    Noise, and what the model gets wrong: with it an innovation is about as large as the estimator expects.
-    """
-    model = CompiledModel(step_every_sample(machine))
-    total, count = 0.0, 0
-    for log in logs:
-        signals = signals_of_record(log, machine)
-        rest = (signals.friction - model.predict(signals).friction_N)[signals.valid]
-        if log.payload:  # which an estimator is told
-            a = signals.acceleration[signals.valid]
-            rest = rest - a * float(a @ rest) / max(float(a @ a), np.finfo(float).tiny)
-        total, count = total + float(rest @ rest), count + len(rest)
-    return max(float(np.sqrt(total / max(count, 1))), LEAST_NOISE * machine.friction.coulomb)
-
-
-def innovation_colour(machine: Machine, logs: Sequence[Log]) -> float:
-    """Return the colour of the innovations of the machine's own estimator, as a factor of variances.
-
-    Wandering parameters count in its doubt too: twice as much, where they have it in doubt of the logs that made it.
-    """
-    colour = 1.0
-    for trial in range(TRIALS):
-        known = override_machine(machine, {"estimator": {"noise": {"colour": colour}}})
-        estimator = CompiledEstimator(known)
-        records = [estimator.estimate(signals_from_log(log, known)) for log in logs]
-        status = np.concatenate([estimates.status for estimates in records])
-        if np.mean(status & FLAGS["doubt"] != 0) <= DOUBTED:
-            break
-        colour = 2.0 * colour if trial else max(2.0, find_colour(records))
-    return colour

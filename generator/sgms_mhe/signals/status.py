@@ -20,11 +20,19 @@ STALE: Final = 128
 REFUSED: Final = "refused"
 """A negative status: the last good estimate was kept."""
 
+MOST_DOUBT: Final = 0.05
+"""Share of the updates up to which doubt is as of the logs that a machine was made from."""
+
 
 def select_flags(status: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
     """Return the updates that have each flag; `refused` are those of negative status. Arrays (u)."""
     usable = status >= 0
     return {name: usable & (status & flag != 0) for name, flag in FLAGS.items()} | {REFUSED: ~usable}
+
+
+def measure_doubt(status: NDArray[np.int64]) -> float:
+    """Return the share of the updates (u) that doubt the model."""
+    return float(select_flags(status)["doubt"].mean())
 
 
 def has_measurement(status: NDArray[np.int64]) -> NDArray[np.bool_]:

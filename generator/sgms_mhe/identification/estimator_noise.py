@@ -1,0 +1,54 @@
+"""Noise of an estimator by what its model leaves of the logs: how large that is, and how far it goes on alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from sgms_mhe.configuration import override_machine, step_every_sample
+from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.chain import signals_from_log, signals_of_record
+from sgms_mhe.signals.innovations import find_colour
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.status import MOST_DOUBT, measure_doubt
+
+TRIALS: Final = 6
+"""Colours that are tried at most."""
+LEAST_NOISE: Final = 1e-4
+"""Of the Coulomb level: a simulation without noise still has rounding and a sample's length."""
+
+
+def measure_noise(machine: Machine, logs: Sequence[Log]) -> float:
+    """Return the RMS [N] of measured minus simulated friction over all valid samples of all logs.
+
+    Noise, and what the model gets wrong: with it an innovation is about as large as the estimator expects.
+    """
+    model = CompiledModel(step_every_sample(machine))
+    total, count = 0.0, 0
+    for log in logs:
+        signals = signals_of_record(log, machine)
+        rest = (signals.friction - model.predict(signals).friction_N)[signals.valid]
+        if log.payload:  # which an estimator is told
+            a = signals.acceleration[signals.valid]
+            rest = rest - a * float(a @ rest) / max(float(a @ a), np.finfo(float).tiny)
+        total, count = total + float(rest @ rest), count + len(rest)
+    return max(float(np.sqrt(total / max(count, 1))), LEAST_NOISE * machine.friction.coulomb)
+
+
+def measure_colour(machine: Machine, logs: Sequence[Log]) -> float:
+    """Return the colour of the innovations of the machine's own estimator, as a factor of variances.
+
+    Wandering parameters count in its doubt too: twice as much, where they have it in doubt of the logs that made it.
+    """
+    signals = [signals_from_log(log, machine) for log in logs]
+    colour = 1.0
+    for trial in range(TRIALS):
+        estimator = CompiledEstimator(override_machine(machine, {"estimator": {"noise": {"colour": colour}}}))
+        records = [estimator.estimate(each) for each in signals]
+        if measure_doubt(np.concatenate([estimates.status for estimates in records])) <= MOST_DOUBT:
+            break
+        colour = 2.0 * colour if trial else max(2.0, find_colour(records))
+    return colour
