@@ -38,7 +38,7 @@ def log(machine: Machine) -> Log:
     return simulate_axis(machine, motion, AxisConfig(seed=2, force_noise_N=0.02, encoder_resolution_m=1e-8)).log
 
 
-def with_missing(log: Log, *gaps: tuple[int, int]) -> Log:
+def remove_samples(log: Log, *gaps: tuple[int, int]) -> Log:
     position, force = log.position_m.copy(), log.force_N.copy()
     for first, end in gaps:
         position[first:end] = np.nan
@@ -48,7 +48,7 @@ def with_missing(log: Log, *gaps: tuple[int, int]) -> Log:
 
 def test_runs_start_anew_behind_gaps(machine: Machine, log: Log) -> None:
     # 30 samples between the last two gaps are too few to compare anything.
-    run = run_freely(machine, with_missing(log, (2000, 2100), (4000, 4001), (4031, 4040)))
+    run = run_freely(machine, remove_samples(log, (2000, 2100), (4000, 4001), (4031, 4040)))
     assert [start.sample for start in run.starts] == [0, 2100, 4040]
     assert run.to_json()["skipped"] == 3 * FIRST + 100 + 1 + 30 + 9
     assert np.isnan(run.simulated_position_m[4001:4040]).all()
@@ -101,7 +101,7 @@ def test_command_and_function_say_the_same(small: Path, log: Log, tmp_path: Path
     [
         (lambda log: replace(log, friction_N=log.force_N), "a log with the force that moves the axis"),
         (lambda log: replace(log, payload=True), "no mass beside it"),
-        (lambda log: with_missing(log, *((k, k + 1) for k in range(0, len(log), 30))), "more than 40 in a row"),
+        (lambda log: remove_samples(log, *((k, k + 1) for k in range(0, len(log), 30))), "more than 40 in a row"),
     ],
 )
 def test_logs_that_no_free_run_can_take_are_refused(

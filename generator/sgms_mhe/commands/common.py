@@ -19,6 +19,8 @@ from sgms_mhe.support.json_values import finite
 from sgms_mhe.support.numbers import interval
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from sgms_mhe.machine import Machine, Units
     from sgms_mhe.signals.logs import Log
 
@@ -98,6 +100,16 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(path, "output folder", None, f"a folder that can be made ({error.strerror})") from None
+
+
+def save_figures(folder: Path, figures: Mapping[str, Figure]) -> None:
+    """Save figures by the names of their files in an output folder, and say so."""
+    from sgms_mhe.evaluation.plots import save_figure
+
+    make_folder(folder)
+    for name, figure in figures.items():
+        save_figure(folder / name, figure)
+        note(f"drawn: {folder / name}")
 
 
 # --- results and messages --------------------------------------------------------------------------------------------

@@ -130,12 +130,10 @@ def command(
 
 
 def _draw(prediction: PredictedFriction, folder: Path) -> None:
-    from sgms_mhe.evaluation.plots import blank_figure, save_figure
+    from sgms_mhe.evaluation.plots import blank_figure
 
-    common.make_folder(folder)
     drawings = {"friction.png": prediction.plot} | ({"motion.png": m.plot} if (m := prediction.motion) else {})
+    figures = {name: blank_figure(4.5) for name in drawings}
     for name, draw in drawings.items():
-        figure = blank_figure(4.5)
-        draw(figure.subplots())
-        save_figure(folder / name, figure)
-        common.note(f"drawn: {folder / name}")
+        draw(figures[name].subplots())
+    common.save_figures(folder, figures)

@@ -43,7 +43,7 @@ class Interrupt:
         self._asked_s = 0.0
 
     @contextmanager
-    def awaited(self) -> Iterator[None]:
+    def take_signals(self) -> Iterator[None]:
         """Take signals within the block."""
         before = {number: signal.signal(number, self._ask) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -110,7 +110,7 @@ def command(
     from sgms_mhe.report import Watched, write_watch_page
 
     interrupt = Interrupt()
-    with interrupt.awaited():  # before anything takes time: an exception in the midst of an import may be lost
+    with interrupt.take_signals():  # before anything takes time: an exception in the midst of an import may be lost
         source = _source(log, machine, math.inf if idle_s is None else idle_s, speed, HostClock(), follow=follow)
         watch, name = Watch(machine), str(log) if str(log) != "-" else "standard input"
 

@@ -181,7 +181,7 @@ class MotionRecord:
 
     def axis(self, machine: Machine, parameters: Mapping[str, float] = _NONE) -> NativeAxis:
         """Return a machine's axis that a force drives, at rest at the first sample, with these true numbers."""
-        axis = NativeAxis(_at_rate(machine, self.log.rate), _config(machine, self.log.rate), ())
+        axis = NativeAxis(_set_rate(machine, self.log.rate), _config(machine, self.log.rate), ())
         for name, value in parameters.items():
             axis.replace(name, value)
         axis.place(float(self._followed[0]))
@@ -233,7 +233,7 @@ class MotionRecord:
         return ShotStart(first, *(guess + scale * found.x).tolist())
 
 
-def _at_rate(machine: Machine, rate: float) -> Machine:
+def _set_rate(machine: Machine, rate: float) -> Machine:
     return replace(machine, sampling=machine.sampling.model_copy(update={"rate": rate}))
 
 

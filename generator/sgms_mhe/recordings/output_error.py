@@ -96,8 +96,8 @@ class _Score:
     def __init__(self, machine: Machine, logs: Sequence[Log], fixed: Collection[str]) -> None:
         self.machine = machine
         self.records = [MotionRecord(machine, log) for log in logs]
-        self.names = [name for name in list_sizes(machine) if name not in fixed]
-        self.unit = np.array([list_sizes(machine)[name] for name in self.names])
+        sizes = {name: unit for name, unit in list_sizes(machine).items() if name not in fixed}
+        self.names, self.unit = list(sizes), np.array(list(sizes.values()))
         axis = self.records[0].axis(machine)
         self.nominal = np.array([axis.number(name) for name in self.names])
         limits = np.array([axis.limits(name) for name in self.names]).reshape(-1, 2).T
