@@ -42,7 +42,7 @@ from sgms_mhe.recordings.least_squares import solve_nonnegative
 from sgms_mhe.recordings.path import smooth_path
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.reference import ReferenceIntegrator
-from sgms_mhe.signals.chain import Signals, apply_chain, signals_from_log
+from sgms_mhe.signals.chain import Signals, apply_chain, find_lost, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.signals.noise import encoder_step, position_noise
 from sgms_mhe.support.errors import InputError
@@ -391,6 +391,27 @@ def test_fast_motion_is_no_noise() -> None:
     assert position_noise(turn) < 1e-7
     assert position_noise(noise) == pytest.approx(1e-9, rel=0.05)
     assert position_noise(1e3 * noise + turn) == pytest.approx(1e-6, rel=0.05)
+
+
+def test_lost_readings_move_no_number(log: Log) -> None:
+    """Positions of 0 for up to three samples and spikes of the force: an axis whose motion "shows no mass"."""
+    rng, places = np.random.default_rng(3), np.arange(200, len(log) - 200, 50)
+    position, force = log.position_m.copy(), log.force_N.copy()
+    far = places[np.abs(position[places]) > 0.1 * np.ptp(position)]
+    for first, count in zip(rng.choice(far, 12, replace=False), [1, 2, 3] * 4, strict=True):
+        position[first : first + count] = 0.0
+    spikes = rng.choice(places + 25, 12, replace=False)
+    force[spikes] += rng.choice([-1.0, 1.0], 12) * rng.uniform(5.0, 50.0, 12) * np.ptp(force)
+    spoilt = dataclasses.replace(log, position_m=position, force_N=force)
+    lost = find_lost(spoilt)
+    assert lost["position_m"].sum() == 24
+    assert np.array_equal(np.flatnonzero(lost["force_N"]), np.sort(spikes))
+    assert not any(marked.any() for marked in find_lost(log).values())
+    whole, rest = (sgms_mhe.identify(record, elements=2) for record in (log, spoilt))
+    numbers = [{number.name: number for number in found.numbers} for found in (whole, rest)]
+    for name in ("mass", "coulomb", "viscous"):
+        assert numbers[1][name].value == pytest.approx(numbers[0][name].value, rel=0.01)
+    assert any("position_m jumps away and back in 24 samples" in said for said in rest.warnings)
 
 
 def test_gain_of_a_few_blocks_hides_no_gain_of_all() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from sgms_mhe.configuration import step_every_sample
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine, Units
-from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.chain import Signals, signals_of_record
 from sgms_mhe.signals.logs import Log, align_velocity
 
 
@@ -55,7 +55,7 @@ class WrittenError:
 
 def _run(machine: Machine, log: Log) -> tuple[float, float]:
     """Return the RMS of measured minus simulated friction over a log's valid samples, and of the drive force [N]."""
-    signals: Signals = signals_from_log(align_velocity(log), machine)
+    signals: Signals = signals_of_record(align_velocity(log), machine)
     residual = signals.friction - CompiledModel(step_every_sample(machine)).predict(signals).friction_N
     rows = np.column_stack((residual, signals.force))[signals.valid]
     error, force = np.sqrt(np.mean(rows**2, axis=0)).tolist()

@@ -16,7 +16,7 @@ from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import OF_KIND, Kind, Machine
 from sgms_mhe.recordings.free_run import FreeRun
 from sgms_mhe.recordings.series import find_runs
-from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.chain import Signals, signals_of_record
 from sgms_mhe.signals.logs import Log, align_velocity, write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import data_frame
@@ -97,7 +97,7 @@ def predict_log(machine: Machine, log: Log) -> PredictedFriction:
     Raises:
         InputError: no sample of the log is a valid measurement of friction.
     """
-    return predict_signals(machine, signals_from_log(align_velocity(log), machine), log.source)
+    return predict_signals(machine, signals_of_record(align_velocity(log), machine), log.source)
 
 
 def predict_signals(machine: Machine, signals: Signals, source: str = "log") -> PredictedFriction:

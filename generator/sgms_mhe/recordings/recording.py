@@ -18,7 +18,7 @@ from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.path import bridge_gaps, misread_paths, reading_error, smooth_path
 from sgms_mhe.recordings.series import find_runs, row_means
-from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
+from sgms_mhe.signals.chain import Signals, find_lost, readings, settle_samples, signals_from_log, signals_of_record
 from sgms_mhe.signals.logs import Log, align_velocity
 from sgms_mhe.signals.noise import encoder_step, position_noise
 from sgms_mhe.support.errors import InputError
@@ -333,6 +333,12 @@ def _find_usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tu
     warnings: list[str] = []
     good = signals.valid.copy()
     settle, n, units = settle_samples(machine), len(signals), machine.plant.units
+    for name, jumped in find_lost(log).items():
+        if jumped.any():
+            warnings.append(
+                f"{units.named(name)} jumps away and back in {int(jumped.sum())} samples, the first at "
+                f"{log.time_s[np.argmax(jumped)]:.6g} s: readings lost; they count as missing"
+            )
     gaps = int(signals.missing.sum())
     if gaps:
         warnings.append(f"{gaps} of {n} samples are missing; they and {settle} samples after each gap are left out")

@@ -17,6 +17,7 @@ from scipy.signal import lfilter
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log, check_rate
+from sgms_mhe.signals.noise import find_jumps
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -29,6 +30,8 @@ _NEVER = int(np.iinfo(np.int64).max)
 """Samples since a sample that was missing, where none was."""
 
 FARTHEST_m = 4e6
+BACK_S = 0.02
+"""A position that jumps away and is back within this time [s] has not moved."""
 LARGEST_SIGNAL = 1e9
 """A position, or any other channel [N, m/s, m/s^2], at or beyond these is no measurement: it counts as missing."""
 
@@ -113,7 +116,7 @@ class Chain:
     def take(self, log: Log) -> Signals:
         """Return the signals of the samples that follow; of the same columns throughout."""
         rate = self._machine.sampling.rate
-        log = readings(log)
+        log = _within_limits(log)
         missing = _missing(log)
         force = self._hold("force", log.force_N)
         position, delayed_position, difference, self._place = _continue(
@@ -237,7 +240,28 @@ def settle_samples(machine: Machine) -> int:
 
 
 def readings(log: Log) -> Log:
-    """The log with NaN for whatever is no measurement."""
+    """The log with NaN for whatever is no measurement, as a record that is known to its end shows it.
+
+    A controller knows less: it meets a position that jumped away before those that come back.
+    """
+    log = _within_limits(log)
+    spoilt: dict[str, Any] = {
+        name: np.where(jumped, np.nan, log.columns[name]) for name, jumped in find_lost(log).items() if jumped.any()
+    }
+    return replace(log, **spoilt) if spoilt else log
+
+
+def find_lost(log: Log) -> dict[str, Mask]:
+    """Return the samples (n) of position and force that jumped away and came back: readings lost, by column.
+
+    A position is back within 20 ms, in which no axis goes and returns; a force after one sample.
+    """
+    longest = {"position_m": int(BACK_S * log.rate), "force_N": 1}
+    return {name: find_jumps(log.columns[name], samples) for name, samples in longest.items()}
+
+
+def _within_limits(log: Log) -> Log:
+    """The log with NaN for what is not finite, or too large for the chain."""
     spoilt: dict[str, Any] = {}
     for name, channel in _channels(log).items():
         limit = FARTHEST_m if name == "position_m" else LARGEST_SIGNAL

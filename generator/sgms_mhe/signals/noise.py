@@ -6,6 +6,7 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 MEDIAN_OF_NORMAL: Final = 0.6745
@@ -27,6 +28,8 @@ EVEN: Final = 0.9
 """Changes of up to so many steps are multiples of an encoder's step, within so much of it; so many of them have to."""
 DIGITS: Final = 1e-3  # of the largest change of a change: smaller ones are of a file's digits
 MANY: Final = 1e4  # steps a sample up to which changes are compared with the step
+JUMP: Final = 10.0
+BESIDE: Final = 3  # samples
 PIECE: Final = 200
 """Samples that noise is told from where it changes over a record: a median of so many is sure to a tenth."""
 
@@ -62,6 +65,32 @@ def noise_course(series: NDArray[np.float64]) -> NDArray[np.float64]:
     )
     middles = (np.arange(pieces) + 0.5) * PIECE
     return np.asarray(np.interp(np.arange(len(series)), middles, sizes))
+
+
+def find_jumps(series: NDArray[np.float64], longest: int) -> NDArray[np.bool_]:
+    """Mark samples of a series (n), `longest` in a row at most, that jump away and come back.
+
+    Either edge is JUMP times what the samples beside it change, and what a sample usually changes. Missing samples are
+    NaN.
+    """
+    jumped = np.zeros(len(series), dtype=np.bool_)
+    measured = np.flatnonzero(np.isfinite(series))
+    values = series[measured]
+    sizes = np.abs(np.diff(values))
+    if longest < 1 or not np.any(sizes):
+        return jumped
+    still = np.full(BESIDE, np.median(sizes[sizes > 0.0]))
+    beside = sliding_window_view(np.concatenate((still, sizes, still)), BESIDE).max(axis=1)
+    edges = np.flatnonzero(sizes > JUMP * np.maximum(beside[: len(sizes)], still[0]))
+    returns = np.flatnonzero(sizes > JUMP * np.maximum(beside[BESIDE + 1 :], still[0]))
+    for edge in edges:
+        near = returns[
+            np.searchsorted(returns, edge, side="right") : np.searchsorted(returns, edge + longest, side="right")
+        ]
+        back = near[np.abs(values[near + 1] - values[edge]) < sizes[edge] / JUMP]
+        if len(back):
+            jumped[measured[edge + 1 : back[0] + 1]] = True
+    return jumped
 
 
 def _median_of_noise(order: int) -> float:
