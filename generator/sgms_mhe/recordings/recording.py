@@ -337,7 +337,7 @@ def _find_usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tu
         if jumped.any():
             warnings.append(
                 f"{units.named(name)} jumps away and back in {int(jumped.sum())} samples, the first at "
-                f"{log.time_s[np.argmax(jumped)]:.6g} s: no motion, samples lost; they count as missing"
+                f"{log.time_s[np.argmax(jumped)]:.6g} s: samples lost; they count as missing"
             )
     gaps = int(signals.missing.sum())
     if gaps:
