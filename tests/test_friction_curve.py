@@ -66,7 +66,7 @@ def test_curve_of_a_parabola_is_that_parabola(tmp_path: Path) -> None:
     ("speeds", "end"), [("[0.1, 0.01]", "0.3"), ("[0.01, 0.01]", "0.3"), ("[0.01, 0.3]", "0.3"), ("[0.01, 0.4]", "0.3")]
 )
 def test_speeds_that_do_not_ascend_to_the_end_are_refused(speeds: str, end: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"curved\.toml.*speed_m_s = \[.*ascend, all below end_m_s"):
+    with pytest.raises(InputError, match=r"curved\.toml.*speed_m_s = \[.*ascend, all below 0.3, the curve's end"):
         load_machine(write(tmp_path, speeds, end))
 
 

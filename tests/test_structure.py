@@ -9,11 +9,12 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from dataclasses import MISSING, Field, fields
 from pathlib import Path
 
 import pytest
 
-from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, EFFECT_NAMES, EffectDefinition, cause, effect_definition
 
 pytestmark = pytest.mark.core
 
@@ -97,6 +98,20 @@ def test_the_product_knows_nothing_of_the_workbench() -> None:
     texts = {path.relative_to(ROOT): path.read_bytes() for path in files if path.is_file() and path.suffix != ".pyc"}
     assert [str(path) for path, text in texts.items() if b"sgms_bench" in text] == []
     assert any("sgms_mhe" in path.read_text(encoding="utf-8") for path in BENCH.rglob("*.py"))
+
+
+# --- definitions of effects --------------------------------------------------------------------------------------
+
+OPTIONAL = [field for field in fields(EffectDefinition) if field.default is not MISSING and field.name != "plant_force"]
+"""Fields that a definition may leave out; `plant_force` is what other distributions alone have."""
+
+
+@pytest.mark.parametrize("field", OPTIONAL, ids=lambda field: str(field.name))
+def test_field_of_a_definition_serves_more_than_one_effect(field: Field[object]) -> None:
+    """One that a single effect sets is that effect's name in disguise."""
+    causes = [cause(name) for name in CAUSE_NAMES] + [effect_definition(name) for name in EFFECT_NAMES]
+    setting = {known.name for known in causes if getattr(known, field.name, field.default) != field.default}
+    assert len(setting) > 1
 
 
 # --- names of effects --------------------------------------------------------------------------------------------

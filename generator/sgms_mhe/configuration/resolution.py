@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -196,12 +195,6 @@ def _effect_parameters(file: MachineFile, index: int) -> dict[str, Value]:
         series = _LISTS.validate_python({key: filled[key] for key in lists})
     except ValidationError as error:
         raise file.invalid(error, ("effects", index)) from None
-    for key in lists:
-        if definitions[key].whole and len(set(series[key])) < count:
-            raise file.refusal(("effects", index, key), list(series[key]), "each number once")
-        end = units.named(definitions[key].ascends_to)
-        if end and not all(a < b for a, b in pairwise((*series[key], numbers[end]))):
-            raise file.refusal(("effects", index, key), list(series[key]), f"numbers that ascend, all below {end}")
     found = {p.name: tuple(series[key]) if key in lists else numbers[key] for key, p in definitions.items()}
     if fault := effect_definition(entry.name).fault(found):
         key = units.named(fault.parameter)

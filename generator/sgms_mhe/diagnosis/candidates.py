@@ -29,7 +29,7 @@ from sgms_mhe.model.effects import (
     effect_definition,
 )
 from sgms_mhe.model.effects.base import DAMPING, LEVEL
-from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodic, Search, Step, Trials
+from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodic, Search, Step, Trials, Unsearched
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.recording import Recording
@@ -102,6 +102,8 @@ def _search_effect(definition: EffectDefinition, subject: Subject, fit: Fit, see
             proposal = _search_derivative(definition, kind, subject, fit, seen)
         case Trials():
             proposal = _search_trials(definition, kind, subject, fit, seen)
+        case Unsearched():
+            proposal = None
     return [] if proposal is None else [proposal]
 
 

@@ -18,7 +18,7 @@ from sgms_mhe.diagnosis.proposals import Residual, propose
 from sgms_mhe.diagnosis.structure import leaves_curve
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.effects.motion import shift_to_sample
-from sgms_mhe.model.effects.search import Columns
+from sgms_mhe.model.effects.search import CurveColumns
 from sgms_mhe.recordings.evidence import difference_statistic, gain_force
 from sgms_mhe.support.decisions import log_decision
 
@@ -57,7 +57,7 @@ def _fit_fewest(subject: Subject, without: Fit, name: str, criteria: Criteria) -
     """Return the fit with a curve of the fewest numbers than which no more gain on unseen rows; None: there is none."""
     definition = effect_definition(name)
     kind, recording = definition.search, subject.choose_rate(without.effects).recording
-    if not isinstance(kind, Columns):
+    if not isinstance(kind, CurveColumns):
         return None
     motion = make_motion(recording, without)
     step = subject.machine.sampling.step
@@ -65,7 +65,7 @@ def _fit_fewest(subject: Subject, without: Fit, name: str, criteria: Criteria) -
     free = without.find_nuisance(recording.used)
     seen = Residual(recording, motion, free, free.project(without.residual[recording.used]))
     best: Fit | None = None
-    for given in kind.variants(motion):
+    for given in kind.grid(motion):
         Z = seen.columns(kind.columns(motion, given))
         proposal = propose(definition, seen, Z, kind.tests, partial(kind.parameters, given))
         trial = try_fit(subject, (*without.effects, make_effect(proposal)), warm=without)

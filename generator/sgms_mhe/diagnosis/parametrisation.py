@@ -258,7 +258,7 @@ def nominal_values(machine: Machine, effect: CandidateEffect) -> Nominal:
     for name in definition.names(effect.parameters):
         parameter = definition.parameter(name)
         size = parameter.default if parameter.default != 0.0 else abs(parameter.size(scales))
-        if parameter.whole or parameter.ascends_to:  # each once; which they are, a fit says
+        if parameter.is_choice:  # each once; which they are, a fit says
             size *= 1 + sum(parameter.holds(known) for known, _ in values)
         wanted = effect.parameters.get(name, size)
         if definition.states and wanted > 0.0 and size > 0.0:

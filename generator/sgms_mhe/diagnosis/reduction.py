@@ -161,7 +161,7 @@ def shorten_lists(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequ
     gain = ENTRY_GAIN * criteria.material
     for group in fit.candidate_groups:
         definition = effect_definition(group.cause)
-        if any(parameter.ascends_to for parameter in definition.parameters):
+        if definition.any_curve:
             continue  # what lies between the others is not none without it
         entries = _entries(fit, group)
         dropped: list[int] = []

@@ -192,13 +192,12 @@ def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
             )
             std = math.sqrt(max(0.0, float(slope @ cov @ slope)))
             parameter = definition.parameter(key)
-            angle = definition.polar is not None and key == definition.polar[1]
-            limits = (-math.pi, math.pi) if angle else (parameter.lower, parameter.upper)
+            limits = (-math.pi, math.pi) if parameter.is_angle else (parameter.lower, parameter.upper)
             number = _number(f"{term.name}.{key}", NumberEstimate(float(value), std), *limits)
             if parameter.array and math.isfinite(number.std):  # an entry may be 0: all of the list are as sure
                 largest = max(abs(other) for name, other in values.items() if parameter.holds(name))
                 number = replace(_number(number.name, NumberEstimate(largest, std), *limits), value=number.value)
-            if angle:  # it is no share of itself
+            if parameter.is_angle:  # it is no share of itself
                 number = replace(number, determined=std <= KNOWN, note="" if std <= KNOWN else STAND_IN)
             others = final.rivals.get(term.name, ())
             if others:

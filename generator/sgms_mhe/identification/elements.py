@@ -161,7 +161,7 @@ def _load_entry() -> dict[str, float | str]:
     """Return the entry of [[effects]] of the one whose level grows with the load, LOAD_RATIO times it."""
     for name in effect_names("rotary"):
         definition = effect_definition(name)
-        if definition.rises and isinstance(definition.search, Columns):
+        if isinstance(definition.search, Columns) and definition.search.rise:
             return {"name": name, **definition.search.parameters({}, np.array([LOAD_RATIO]))}
     raise AssertionError("no effect of the level grows with a load")
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.identification.elements import Stribeck
 from sgms_mhe.model.effects import EffectDefinition, effect_definition, effect_names
 from sgms_mhe.model.effects.motion import MotionRecord, shift_to_sample
-from sgms_mhe.model.effects.search import Columns
+from sgms_mhe.model.effects.search import Columns, CurveColumns
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
@@ -194,7 +194,7 @@ def level_terms(
             continue
         for given in search.variants(motion) if known is not None else ({},):
             columns = np.abs(sliding)[:, None] * search.columns(motion, given)
-            if rise is not None and definition.rises:
+            if rise is not None and search.rise:
                 share = np.exp(-((rows.velocity / rise.velocity) ** 2))
                 columns = np.column_stack((columns, share * columns[:, 0]))
             terms.append(Term(definition.name, columns, positive=True, given=given))
@@ -208,8 +208,8 @@ def curve_terms(rows: Recording) -> tuple[Term, ...]:
     return tuple(
         Term(definition.name, definition.search.columns(motion, given), given=given)
         for definition in definitions
-        if definition.any_curve and isinstance(definition.search, Columns)
-        for given in definition.search.variants(motion)
+        if isinstance(definition.search, CurveColumns)
+        for given in definition.search.grid(motion)
     )
 
 
@@ -221,9 +221,9 @@ def effect_parameters(term: Term, sizes: Array) -> dict[str, float]:
     search = definition.search
     if not isinstance(search, Columns):
         return {}
-    if definition.stage != "level" or not definition.rises:
+    if definition.stage != "level" or not search.rise:
         return dict(search.parameters(term.given, sizes))
-    rise = {definition.rises: float(sizes[1])} if len(sizes) > 1 else {}
+    rise = {search.rise: float(sizes[1])} if len(sizes) > 1 else {}
     return {**search.parameters(term.given, sizes[:1]), **rise}
 
 

@@ -12,7 +12,7 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.scales import Scales
-from sgms_mhe.model.effects.search import Derivative, Harmonic, Periodic, Search, Values
+from sgms_mhe.model.effects.search import CurveColumns, Derivative, Harmonic, Periodic, Search, Unsearched, Values
 from sgms_mhe.model.effects.specimen import Specimen
 
 Stage = Literal["signal", "level", "force", "motor", "log", "actuator"]
@@ -59,31 +59,20 @@ class EffectDefinition(CauseDefinition):
         states: names of its own states; a table may have some of them, as its coordinates ask for.
         search: how a diagnosis looks for it; by its derivative in its first size unless something says more.
         loads: whether its force acts on the load, so that the drive transmits it (`SymbolicAxis.transmitted_force`).
-        polar: names of size and angle where it is a sine that its search does not look for the period of.
         linear: whether the search's columns times its sizes are all of its force: what it would gain is then known
             without a refit.
         repeatable: whether an axis may have two of it.
-        elastic: whether its force goes with the position alone: over a short travel it looks like an element that has
-            not broken away.
         companion: whether an identification from nothing looks for it beside friction; its search's columns need no
             model, or of the stage `level` the torque transmitted alone.
-        rises: the size, if any, by which a contribution to the level grows towards low speed as the Stribeck effect
-            does: its force per unit is that of the search's column times that effect's share.
-        any_curve: whether it is friction over speed of any shape, which any of a known one nearly is: a diagnosis looks
-            for it where the known ones leave such a curve.
         full_rate: whether it is about as fast as a sample of the record, or jumps: fitted at the record's full rate,
             never on means.
         plant_force: the simulated plant's own version of a force, friction-like in sign, written a second time in plain
             numbers: of position [m], velocity [m/s], time [s] and the parameters. Only effects of other distributions
             have one; the plant knows this package's.
-        fault: the first number of a machine file that does not go with the others, each within its own limits.
-        learned: whether its numbers are a table that a diagnosis learns at once: no cause, it is neither searched nor
-            fitted.
+        fault: the first number of a machine file that does not go with the others, each within its own limits and the
+            lists of one length.
         possible: whether an axis of these scales can have it with these parameters (by name, SI), beyond their limits:
             what takes power from a motion has no size, within both, that drives one.
-        delays: the parameter by which it makes all of the logged force late [s], if that is what it does: a diagnosis
-            shifts the model's force along the record, exactly, where an estimator can but expand it.
-        adds_mass: the parameter, if any, that is the true mass minus the machine file's, where it is nothing else.
         smooth_only: why it cannot stand where elements switch instead of going over smoothly; empty: it can.
         specimen: how a benchmark hides it; None: not at all.
         fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
@@ -97,21 +86,14 @@ class EffectDefinition(CauseDefinition):
     kinds: tuple[Kind, ...] = ("linear", "rotary")
     states: tuple[str, ...] = ()
     loads: bool = False
-    polar: tuple[str, str] | None = None
     search: Search = field(default_factory=Derivative)
     linear: bool = False
     repeatable: bool = False
-    any_curve: bool = False
     full_rate: bool = False
-    elastic: bool = False
     companion: bool = False
-    rises: str = ""
     fit_displacement: float | None = None
     fault: Callable[[Mapping[str, Value]], Fault | None] = _no_fault
-    learned: bool = False
     possible: Callable[[Values, Scales], bool] = _always
-    delays: str = ""
-    adds_mass: str = ""
     smooth_only: str = ""
     specimen: Specimen | None = None
     plant_force: PlantForce | None = None
@@ -167,6 +149,38 @@ class EffectDefinition(CauseDefinition):
         return bool(self.smooth_only and self.states)
 
     @property
+    def learned(self) -> bool:
+        """Return True if its numbers are a table that a diagnosis learns at once."""
+        return isinstance(self.search, Unsearched)
+
+    @property
+    def any_curve(self) -> bool:
+        """Return True if it is friction over speed of any shape."""
+        return isinstance(self.search, CurveColumns)
+
+    @property
+    def elastic(self) -> bool:
+        """Return True if it is a stiffness without states: its force goes with the position alone.
+
+        Over a short travel it looks like an element that has not broken away.
+        """
+        return not self.states and any(parameter.unit == "stiffness" for parameter in self.parameters)
+
+    @property
+    def adds_mass(self) -> str:
+        """The parameter, if any, that is the true mass minus the machine file's: a mass without states."""
+        masses = (parameter.name for parameter in self.parameters if parameter.unit == "mass")
+        return "" if self.states else next(masses, "")
+
+    @property
+    def delays(self) -> str:
+        """The time, if any, that all of the logged force is late [s]: the force is proportional to it, no lag's is.
+
+        A diagnosis shifts the model's force along the record, exactly, where an estimator can but expand it.
+        """
+        return next((p.name for p in self.parameters if p.timing and p.is_proportional), "")
+
+    @property
     def read_as(self) -> ReadAs | None:
         """Return the sum of forces, if any, that other effects may read its own in."""
         return "load" if self.loads else "curve" if self.any_curve else None
@@ -179,7 +193,7 @@ class EffectDefinition(CauseDefinition):
     @property
     def periodic(self) -> bool:
         """Return True if its force repeats, in place or in time."""
-        return isinstance(self.search, Harmonic | Periodic) or self.polar is not None
+        return isinstance(self.search, Harmonic | Periodic) or any(p.is_angle for p in self.parameters)
 
     @property
     def sine(self) -> Harmonic | None:
@@ -189,8 +203,9 @@ class EffectDefinition(CauseDefinition):
     def tidy(self, values: Values) -> dict[str, float]:
         """Parameters as a report states them: of a sine the size positive, the phase within one turn."""
         tidy = dict(values)
-        size, angle = (self.sine.size, self.sine.phase) if self.sine is not None else self.polar or ("", "")
+        angle = next((parameter.name for parameter in self.parameters if parameter.is_angle), "")
         if angle in tidy:
+            size = next(parameter.name for parameter in self.parameters if parameter.is_size)
             if tidy.get(size, 0.0) < 0.0:
                 tidy[size], tidy[angle] = -tidy[size], tidy[angle] + math.pi
             tidy[angle] = math.remainder(tidy[angle], 2.0 * math.pi)

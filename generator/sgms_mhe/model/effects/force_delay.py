@@ -96,7 +96,6 @@ DEFINITION = EffectDefinition(
     excludes=("actuator_lag",),
     search=Columns(lambda m, _: -np.gradient(m.force)[:, None] * m.extents.rate, one_size("delay_s")),
     full_rate=True,
-    delays="delay_s",
     fit_displacement=LAG_DISPLACEMENT,
     stage="log",
     states=("lagged_force",),

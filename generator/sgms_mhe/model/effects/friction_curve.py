@@ -7,7 +7,7 @@ so that no sum of the curve's numbers is one of theirs; and as it is none at res
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Final, TypeVar
 
@@ -17,9 +17,10 @@ from scipy.interpolate import CubicHermiteSpline
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need, Simpler
+from sgms_mhe.model.effects.definition import Fault, Value
 from sgms_mhe.model.effects.motion import direction, shift_to_sample
 from sgms_mhe.model.effects.scales import Scales
-from sgms_mhe.model.effects.search import Array, Columns, Values
+from sgms_mhe.model.effects.search import Array, CurveColumns, Values
 
 Number = TypeVar("Number", ca.SX, Array)
 KNOTS: Final = 8
@@ -40,7 +41,6 @@ _SPEED: Final = EffectParameter(
     main=False,
     frozen=True,
     array=True,
-    ascends_to="end_m_s",
 )
 _FORWARD: Final = EffectParameter("forward_N", 0.0, 0.1, "friction added there, v > 0", unit="coulomb", array=True)
 _BACKWARD: Final = EffectParameter("backward_N", 0.0, 0.1, "friction added there, v < 0", unit="coulomb", array=True)
@@ -138,6 +138,14 @@ def _parameters(given: Values, sizes: Array) -> Values:
     return found
 
 
+def _find_fault(values: Mapping[str, Value]) -> Fault | None:
+    """Knots that do not ascend to the curve's end."""
+    speeds, end = values[_SPEED.name], values[_END.name]
+    if isinstance(speeds, tuple) and isinstance(end, float) and all(a < b for a, b in pairwise((*speeds, end))):
+        return None
+    return Fault(_SPEED.name, f"numbers that ascend, all below {end:g}, the curve's end")
+
+
 def _is_friction(p: Values, scales: Scales) -> bool:
     """Return True if the curve takes no more than the level away: what takes more would drive the axis."""
     return all(value > -scales.coulomb for name, value in p.items() if _FORWARD.holds(name) or _BACKWARD.holds(name))
@@ -170,9 +178,9 @@ DEFINITION = EffectDefinition(
             "asymmetric_viscous",
         )
     ),
-    search=Columns(_columns, _parameters, _halve_speeds, variants=_halve_speeds),
+    search=CurveColumns(_columns, _parameters, _halve_speeds),
     excludes=("quadratic_drag", "eddy_current_damping"),
     linear=True,
     possible=_is_friction,
-    any_curve=True,
+    fault=_find_fault,
 )

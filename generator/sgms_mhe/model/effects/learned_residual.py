@@ -16,7 +16,7 @@ import numpy as np
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.definition import Fault, Value
-from sgms_mhe.model.effects.search import Values
+from sgms_mhe.model.effects.search import Unsearched, Values
 from sgms_mhe.model.effects.spline_table import DEGREE, Array, GridPlace, spline_sum, spline_table
 from sgms_mhe.model.effects.states import EffectState, share_effect_state
 
@@ -177,7 +177,7 @@ DEFINITION = EffectDefinition(
     ),
     contribute=_contribute,
     fault=_find_fault,
-    learned=True,
+    search=Unsearched(),
     repeatable=True,
     excitation=Excitation(
         "the places, speeds and reversals that it is to hold for, several times each",

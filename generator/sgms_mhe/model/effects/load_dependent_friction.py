@@ -94,9 +94,10 @@ DEFINITION = EffectDefinition(
     moves=("jerks", "speeds"),
     inertial=True,
     simpler=Simpler(("coulomb",)),
-    search=Columns(lambda m, p: friction_drag(m, **p), one_size("ratio"), exact="ratio", variants=_shares),
+    search=Columns(
+        lambda m, p: friction_drag(m, **p), one_size("ratio"), exact="ratio", variants=_shares, rise="rise_ratio"
+    ),
     stage="level",
     companion=True,
-    rises="rise_ratio",
     specimen=Specimen(lambda _, __, x: {"ratio": 0.1 * x, "rise_ratio": 0.0}, signed=False),
 )

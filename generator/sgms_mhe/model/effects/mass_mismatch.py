@@ -18,7 +18,6 @@ DEFINITION = EffectDefinition(
     parameters=(EffectParameter("mass_kg", 0.0, 0.05, "true mass minus mass", unit="mass"),),
     contribute=lambda axis, p, nominal: axis.add_mass(p["mass_kg"], nominal["mass_kg"]),
     loads=True,
-    adds_mass="mass_kg",
     excitation=Excitation("accelerations whose inertial force is seen", (Need("inertial_ratio", 0.5),)),
     confused_with={
         "force_gain": "constant speed with known friction, or a known extra mass: a gain scales friction too",

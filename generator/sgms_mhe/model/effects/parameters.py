@@ -72,7 +72,6 @@ class EffectParameter:
         timing: whether it is a time that force and position are apart; no log is surer of that than of its sampling.
         array: whether it is a list, whose entries results name one by one; the lists of an effect are equally long.
         whole: whether it counts something.
-        ascends_to: the number of its effect that the entries of a list ascend to; empty: they have no order.
         step: how far one step of a fit may move it.
         times: the size that it is multiplied with: the force is linear in their product, which a fit moves.
         least, most: what a record can tell of it, beyond `lower` and `upper`.
@@ -93,7 +92,6 @@ class EffectParameter:
     timing: bool = False
     array: bool = False
     whole: bool = False
-    ascends_to: str = ""
     step: StepLimit = any_step
     times: str = ""
     least: RecordLimit | None = None
@@ -103,6 +101,16 @@ class EffectParameter:
     def is_size(self) -> bool:
         """Return True if the effect is zero where the parameter is `none`."""
         return self.role == "size"
+
+    @property
+    def is_angle(self) -> bool:
+        """Return True if it is the phase of a sine."""
+        return self.role == "place" and self.name.endswith("_rad")
+
+    @property
+    def is_choice(self) -> bool:
+        """Return True if it is a list that a search chooses, each entry another one."""
+        return self.array and self.frozen
 
     @property
     def is_optional(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
+from sgms_mhe.model.effects.definition import Fault, Value
 from sgms_mhe.model.effects.periodic_table import periodic_spline, spline_coefficients
 from sgms_mhe.model.effects.search import Periodic, Values
 from sgms_mhe.model.effects.sines import pitch, ripple_search
@@ -52,6 +54,14 @@ def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
         axis.add_force(p[sine] * ca.sin(angle) + p[cosine] * ca.cos(angle))
 
 
+def _find_fault(values: Mapping[str, Value]) -> Fault | None:
+    """An order that is there twice."""
+    orders = values[_ORDER.name]
+    if isinstance(orders, tuple) and len(set(orders)) < len(orders):
+        return Fault(_ORDER.name, "each number once")
+    return None
+
+
 def _hidden(scene: Scene, drawn: Values, x: float) -> Values:
     """Three sines, each smaller than the one before."""
     values = {"pitch_m": drawn["pitch_m"]}
@@ -77,6 +87,7 @@ DEFINITION = EffectDefinition(
         _COSINE,
     ),
     contribute=_contribute,
+    fault=_find_fault,
     excitation=Excitation(
         "slow travel over the whole of a period, in both directions and at two speeds; where the axis never was a map "
         "is not determined",

@@ -41,6 +41,5 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     companion=True,
-    elastic=True,
     specimen=Specimen(lambda scene, _, x: {"stiffness_N_m": x * scene.scales.coulomb / scene.travel, "centre_m": 0.0}),
 )

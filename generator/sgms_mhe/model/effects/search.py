@@ -46,7 +46,8 @@ class Columns:
         own_size: the given number that the size must come out as: a lag is its own size. Of two trials that explain as
             much the one whose size agrees with it counts.
         variants: the numbers that an identification from nothing tries, none given first; a diagnosis tries that alone.
-            Of a curve of any shape both try all, few numbers first.
+        rise: of a contribution to the level the size, if any, by which it grows towards low speed as the Stribeck
+            effect does: its force per unit is that of the column times that effect's share.
         exact: the size whose column is taken from the model's own derivative in the end, where `columns` are rough: a
             level that jumps where elements stick.
     """
@@ -58,7 +59,17 @@ class Columns:
     own_size: str | None = None
     exact: str | None = None
     variants: Grid = no_grid
+    rise: str = ""
     costly: ClassVar[bool] = False
+
+
+@dataclass(frozen=True)
+class CurveColumns(Columns):
+    """Friction over speed of any shape, which any of a known one nearly is.
+
+    A diagnosis looks for it where the known ones leave such a curve. That and an identification try all of the grid,
+    few numbers first.
+    """
 
 
 @dataclass(frozen=True)
@@ -157,4 +168,11 @@ class Periodic:
     costly: ClassVar[bool] = False
 
 
-Search = Columns | Harmonic | Periodic | Step | Derivative | Trials
+@dataclass(frozen=True)
+class Unsearched:
+    """A table whose numbers a diagnosis learns at once: no cause, it is neither searched nor fitted."""
+
+    costly: ClassVar[bool] = False
+
+
+Search = Columns | Harmonic | Periodic | Step | Derivative | Trials | Unsearched

@@ -42,7 +42,6 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     companion=True,
-    polar=("amplitude_N", "phase_rad"),
     specimen=Specimen(
         lambda scene, drawn, x: {"amplitude_N": x * scene.scales.coulomb, **drawn}, (PHASE,), signed=False
     ),
