@@ -1,35 +1,16 @@
 """From a measured log and a machine file to a named cause, an extended machine file and a measured gain."""
 
-from __future__ import annotations
-
-from sgms_mhe.diagnosis.result import (
-    Alternative,
-    BaseParameter,
-    Cause,
-    Diagnosis,
-    Limit,
-    RivalFit,
-    Rms,
-    Score,
-)
-from sgms_mhe.diagnosis.structure import ResidualStructure
-from sgms_mhe.diagnosis.together import diagnose
-from sgms_mhe.diagnosis.traces import Traces
-from sgms_mhe.diagnosis.writing import write_diagnosis, write_extended, write_refusal
-
-__all__ = [
-    "Alternative",
-    "BaseParameter",
-    "Cause",
-    "Diagnosis",
-    "Limit",
-    "ResidualStructure",
-    "RivalFit",
-    "Rms",
-    "Score",
-    "Traces",
-    "diagnose",
-    "write_diagnosis",
-    "write_extended",
-    "write_refusal",
-]
+from sgms_mhe.diagnosis.result import Alternative as Alternative
+from sgms_mhe.diagnosis.result import BaseParameter as BaseParameter
+from sgms_mhe.diagnosis.result import Cause as Cause
+from sgms_mhe.diagnosis.result import Diagnosis as Diagnosis
+from sgms_mhe.diagnosis.result import Limit as Limit
+from sgms_mhe.diagnosis.result import RivalFit as RivalFit
+from sgms_mhe.diagnosis.result import Rms as Rms
+from sgms_mhe.diagnosis.result import Score as Score
+from sgms_mhe.diagnosis.structure import ResidualStructure as ResidualStructure
+from sgms_mhe.diagnosis.together import diagnose as diagnose
+from sgms_mhe.diagnosis.traces import Traces as Traces
+from sgms_mhe.diagnosis.writing import write_diagnosis as write_diagnosis
+from sgms_mhe.diagnosis.writing import write_extended as write_extended
+from sgms_mhe.diagnosis.writing import write_refusal as write_refusal

@@ -1,75 +1,46 @@
 """The machine file: what a user writes, checked table by table, and the resolved machine that comes of it."""
 
-from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant, Smoothing, plant_content
-from sgms_mhe.machine.code import Code, Compensation
-from sgms_mhe.machine.diagnosis import DiagnosisTable
-from sgms_mhe.machine.estimator import ArrivalCost, Disturbance, Estimator, Noise
-from sgms_mhe.machine.fields import listing
-from sgms_mhe.machine.file import Tables, json_schema
-from sgms_mhe.machine.log_mapping import SEPARATORS, LogColumn, LogMapping, kinds_of, log_line, table_of_flags
-from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, REQUIRED, Quantity, Role, normal_unit, split_unit
-from sgms_mhe.machine.reading import (
-    Layer,
-    MachineFile,
-    log_mapping,
-    log_table,
-    machine_file,
-    merge_tables,
-    read_log_table,
-    read_machine_file,
-)
-from sgms_mhe.machine.resolved import Machine, ResolvedEffect, estimable_names
-from sgms_mhe.machine.sampling import CLOSED_FORMS, DISPLACEMENT, Integrator, Sampling
-from sgms_mhe.machine.units import LINEAR, OF_KIND, ROTARY, Kind, Units
-
-__all__ = [
-    "BASE_PARAMETERS",
-    "BY_COLUMN",
-    "CLOSED_FORMS",
-    "COUNTS",
-    "DISPLACEMENT",
-    "LINEAR",
-    "OF_KIND",
-    "QUANTITIES",
-    "REQUIRED",
-    "ROTARY",
-    "SEPARATORS",
-    "ArrivalCost",
-    "Code",
-    "Compensation",
-    "DiagnosisTable",
-    "Disturbance",
-    "Estimator",
-    "Friction",
-    "Integrator",
-    "Kind",
-    "Layer",
-    "LogColumn",
-    "LogMapping",
-    "Machine",
-    "MachineFile",
-    "Noise",
-    "Plant",
-    "Quantity",
-    "ResolvedEffect",
-    "Role",
-    "Sampling",
-    "Smoothing",
-    "Tables",
-    "Units",
-    "estimable_names",
-    "json_schema",
-    "kinds_of",
-    "listing",
-    "log_line",
-    "log_mapping",
-    "log_table",
-    "machine_file",
-    "merge_tables",
-    "normal_unit",
-    "plant_content",
-    "read_log_table",
-    "read_machine_file",
-    "split_unit",
-    "table_of_flags",
-]
+from sgms_mhe.machine.axis import BASE_PARAMETERS as BASE_PARAMETERS
+from sgms_mhe.machine.axis import Friction as Friction
+from sgms_mhe.machine.axis import Plant as Plant
+from sgms_mhe.machine.axis import Smoothing as Smoothing
+from sgms_mhe.machine.axis import plant_content as plant_content
+from sgms_mhe.machine.diagnosis import DiagnosisTable as DiagnosisTable
+from sgms_mhe.machine.estimator import Disturbance as Disturbance
+from sgms_mhe.machine.estimator import Estimator as Estimator
+from sgms_mhe.machine.fields import listing as listing
+from sgms_mhe.machine.file import Tables as Tables
+from sgms_mhe.machine.file import json_schema as json_schema
+from sgms_mhe.machine.log_mapping import SEPARATORS as SEPARATORS
+from sgms_mhe.machine.log_mapping import LogColumn as LogColumn
+from sgms_mhe.machine.log_mapping import LogMapping as LogMapping
+from sgms_mhe.machine.log_mapping import kinds_of as kinds_of
+from sgms_mhe.machine.log_mapping import log_line as log_line
+from sgms_mhe.machine.log_mapping import table_of_flags as table_of_flags
+from sgms_mhe.machine.log_units import BY_COLUMN as BY_COLUMN
+from sgms_mhe.machine.log_units import COUNTS as COUNTS
+from sgms_mhe.machine.log_units import QUANTITIES as QUANTITIES
+from sgms_mhe.machine.log_units import REQUIRED as REQUIRED
+from sgms_mhe.machine.log_units import Quantity as Quantity
+from sgms_mhe.machine.log_units import Role as Role
+from sgms_mhe.machine.log_units import normal_unit as normal_unit
+from sgms_mhe.machine.log_units import split_unit as split_unit
+from sgms_mhe.machine.reading import Layer as Layer
+from sgms_mhe.machine.reading import MachineFile as MachineFile
+from sgms_mhe.machine.reading import log_mapping as log_mapping
+from sgms_mhe.machine.reading import log_table as log_table
+from sgms_mhe.machine.reading import machine_file as machine_file
+from sgms_mhe.machine.reading import merge_tables as merge_tables
+from sgms_mhe.machine.reading import read_log_table as read_log_table
+from sgms_mhe.machine.reading import read_machine_file as read_machine_file
+from sgms_mhe.machine.resolved import Machine as Machine
+from sgms_mhe.machine.resolved import ResolvedEffect as ResolvedEffect
+from sgms_mhe.machine.resolved import estimable_names as estimable_names
+from sgms_mhe.machine.sampling import CLOSED_FORMS as CLOSED_FORMS
+from sgms_mhe.machine.sampling import Integrator as Integrator
+from sgms_mhe.machine.sampling import Sampling as Sampling
+from sgms_mhe.machine.units import LINEAR as LINEAR
+from sgms_mhe.machine.units import OF_KIND as OF_KIND
+from sgms_mhe.machine.units import ROTARY as ROTARY
+from sgms_mhe.machine.units import Kind as Kind
+from sgms_mhe.machine.units import Units as Units

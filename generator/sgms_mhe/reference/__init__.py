@@ -6,11 +6,14 @@ from typing import Literal
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.reference.ekf import run_ekf
-from sgms_mhe.reference.flow import gate_ratio
-from sgms_mhe.reference.integrator import ReferenceIntegrator
-from sgms_mhe.reference.mhe import run_mhe
-from sgms_mhe.reference.problem import NodeRecord, Progress, Start, UpdateStatus, Weights
+from sgms_mhe.reference.ekf import run_ekf as run_ekf
+from sgms_mhe.reference.integrator import ReferenceIntegrator as ReferenceIntegrator
+from sgms_mhe.reference.mhe import run_mhe as run_mhe
+from sgms_mhe.reference.problem import NodeRecord as NodeRecord
+from sgms_mhe.reference.problem import Progress
+from sgms_mhe.reference.problem import Start as Start
+from sgms_mhe.reference.problem import UpdateStatus as UpdateStatus
+from sgms_mhe.reference.problem import Weights as Weights
 from sgms_mhe.reference.smoother import run_smoother
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.estimates import Estimates
@@ -38,21 +41,3 @@ def estimate_reference(
 def estimate_smoother(machine: Machine, signals: Signals, *, progress: Progress | None = None) -> Estimates:
     """Full-information smoother over the whole record."""
     return estimate_reference(machine, signals, "smoother", progress=progress)
-
-
-__all__ = [
-    "Kind",
-    "NodeRecord",
-    "Progress",
-    "ReferenceIntegrator",
-    "Start",
-    "UpdateStatus",
-    "Weights",
-    "estimate_model",
-    "estimate_reference",
-    "estimate_smoother",
-    "gate_ratio",
-    "run_ekf",
-    "run_mhe",
-    "run_smoother",
-]

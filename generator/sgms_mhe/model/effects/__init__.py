@@ -1,68 +1,30 @@
 """The effects an axis may have beyond S-GMS, one module each, and the base parameters that may be wrong."""
 
-from __future__ import annotations
-
-from sgms_mhe.model.effects.base import (
-    BASE_CAUSES,
-    BaseCause,
-    BaseNumber,
-    base_cause,
-    base_number,
-    reported_name,
-)
-from sgms_mhe.model.effects.catalogue import (
-    CAUSE_NAMES,
-    EFFECT_NAMES,
-    broken_effects,
-    cause,
-    cause_names,
-    effect_definition,
-    effect_names,
-    mass_effect,
-    outside_sources,
-    own_effects,
-    separating_moves,
-)
-from sgms_mhe.model.effects.causes import MOVES, CauseDefinition, Move, Simpler
-from sgms_mhe.model.effects.definition import STAGES, EffectDefinition, Stage, Value
-from sgms_mhe.model.effects.excitation import Excitation, Measure, Need
-from sgms_mhe.model.effects.motion import Extents, MotionRecord
-from sgms_mhe.model.effects.parameters import EffectParameter
-from sgms_mhe.model.effects.scales import Scales
-from sgms_mhe.model.effects.states import EffectState
-
-__all__ = [
-    "BASE_CAUSES",
-    "CAUSE_NAMES",
-    "EFFECT_NAMES",
-    "MOVES",
-    "STAGES",
-    "BaseCause",
-    "BaseNumber",
-    "CauseDefinition",
-    "EffectDefinition",
-    "EffectParameter",
-    "EffectState",
-    "Excitation",
-    "Extents",
-    "Measure",
-    "MotionRecord",
-    "Move",
-    "Need",
-    "Scales",
-    "Simpler",
-    "Stage",
-    "Value",
-    "base_cause",
-    "base_number",
-    "broken_effects",
-    "cause",
-    "cause_names",
-    "effect_definition",
-    "effect_names",
-    "mass_effect",
-    "outside_sources",
-    "own_effects",
-    "reported_name",
-    "separating_moves",
-]
+from sgms_mhe.model.effects.base import BASE_CAUSES as BASE_CAUSES
+from sgms_mhe.model.effects.base import base_number as base_number
+from sgms_mhe.model.effects.base import reported_name as reported_name
+from sgms_mhe.model.effects.catalogue import CAUSE_NAMES as CAUSE_NAMES
+from sgms_mhe.model.effects.catalogue import EFFECT_NAMES as EFFECT_NAMES
+from sgms_mhe.model.effects.catalogue import broken_effects as broken_effects
+from sgms_mhe.model.effects.catalogue import cause as cause
+from sgms_mhe.model.effects.catalogue import cause_names as cause_names
+from sgms_mhe.model.effects.catalogue import effect_definition as effect_definition
+from sgms_mhe.model.effects.catalogue import effect_names as effect_names
+from sgms_mhe.model.effects.catalogue import mass_effect as mass_effect
+from sgms_mhe.model.effects.catalogue import outside_sources as outside_sources
+from sgms_mhe.model.effects.catalogue import own_effects as own_effects
+from sgms_mhe.model.effects.catalogue import separating_moves as separating_moves
+from sgms_mhe.model.effects.causes import MOVES as MOVES
+from sgms_mhe.model.effects.causes import Move as Move
+from sgms_mhe.model.effects.causes import Simpler as Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition as EffectDefinition
+from sgms_mhe.model.effects.definition import Stage as Stage
+from sgms_mhe.model.effects.definition import Value as Value
+from sgms_mhe.model.effects.excitation import Excitation as Excitation
+from sgms_mhe.model.effects.excitation import Measure as Measure
+from sgms_mhe.model.effects.excitation import Need as Need
+from sgms_mhe.model.effects.motion import Extents as Extents
+from sgms_mhe.model.effects.motion import MotionRecord as MotionRecord
+from sgms_mhe.model.effects.parameters import EffectParameter as EffectParameter
+from sgms_mhe.model.effects.scales import Scales as Scales
+from sgms_mhe.model.effects.states import EffectState as EffectState
