@@ -8,7 +8,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.fits import ALIKE, Fit, Subject
@@ -22,9 +21,9 @@ from sgms_mhe.recordings.recording import Recording, reduce_signals
 from sgms_mhe.recordings.series import Shift, row_means
 from sgms_mhe.signals.chain import Signals, apply_chain
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.parallel import beside, run_parallel
 
-Array = NDArray[np.float64]
 AT_LIMIT: Final = 1e-6
 HOLD_SNAP: Final = 1.5
 """Of h^2 / 12: a force that is held moves by the mean of two samples, low by h^2 / 8 between them."""

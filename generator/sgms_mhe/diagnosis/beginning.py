@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.final_fit import FinalFit
@@ -28,10 +27,9 @@ from sgms_mhe.model.effects import base_number, effect_definition, mass_effect
 from sgms_mhe.model.effects.base import DAMPING, LEVEL, MASS, reported_name
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
-
-Array = NDArray[np.float64]
 
 ROUGH: Final = 2.0
 """Distance of a file's numbers from those of the record from which on the file is rough, see `distance` [1]: a factor
@@ -72,7 +70,7 @@ def plain_friction(recording: Recording) -> PlainFriction:
     return PlainFriction(_rms(residual, seen), _rms(residual, held_out), _rms(recording.force, held_out))
 
 
-def _rms(series: Array, rows: NDArray[np.bool_]) -> float:
+def _rms(series: Array, rows: Mask) -> float:
     return float(np.sqrt(np.mean(series[rows] ** 2))) if rows.any() else math.nan
 
 

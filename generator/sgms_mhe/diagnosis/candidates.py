@@ -14,7 +14,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fits import Fit, Subject
 from sgms_mhe.diagnosis.harmonics import search_harmonic
@@ -33,9 +32,8 @@ from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodi
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.parallel import run_parallel
-
-Array = NDArray[np.float64]
 
 EDGE_SHARE: Final = 0.05
 """Rows between a step in time and an end of the record, at least [rows that count]: what is only there at an end is a

@@ -8,7 +8,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from sgms_mhe.diagnosis.fits import Fit, Subject, report_name
@@ -16,10 +15,9 @@ from sgms_mhe.diagnosis.parametrisation import ParameterGroup
 from sgms_mhe.diagnosis.uncertainty import correlate, covariance, standard_deviations
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import CONFIDENCE
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.numbers import interval
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
+
 Kind = Literal["place", "speed", "late speed", "travel"]
 
 LENGTHS: Final = (0.1, 0.01)

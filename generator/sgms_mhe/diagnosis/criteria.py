@@ -10,7 +10,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fits import Fit, Subject
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
@@ -21,9 +20,9 @@ from sgms_mhe.model.effects.search import Step
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import cross_loss, gain_force
 from sgms_mhe.recordings.excitation import in_step
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.parallel import run_parallel
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Called with what is done now and the share of the work that was done before it, never less than the last time."""
 BASE_BEGINS: Final = 0.02

@@ -16,12 +16,9 @@ from operator import add
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Index, Mask
 
 CORRELATED: Final = (30.0, 10.0, 3.0)
 """Rows that may count as one [1], in the order of trial: a fit begins where the one before has ended."""

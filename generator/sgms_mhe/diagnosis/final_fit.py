@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import align, find_encoder_force, find_residual
 from sgms_mhe.diagnosis.candidates import edge_rows
@@ -21,9 +20,7 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.search import Step
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Mask
 
 ALLOWED_ENCODER: Final = 1.0
 """RMS beyond noise that a complete explanation may leave where the encoder's steps make most of the floor [noise

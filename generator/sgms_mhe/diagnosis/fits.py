@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.models import (
     CompiledFit,
@@ -24,9 +23,8 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition, reported_name
 from sgms_mhe.recordings.evidence import Nuisance, cross_loss, find_nuisance
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.arrays import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 FitKey = tuple[object, ...]
 AT_BOUND: Final = 1e-9
 ALIKE: Final = 0.1

@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, nearest_peak, propose
@@ -22,10 +21,8 @@ from sgms_mhe.recordings.excitation import in_step
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.recordings.series import bin_sums
 from sgms_mhe.signals.chain import lowpass_coefficients
+from sgms_mhe.support.arrays import Array, Complex
 from sgms_mhe.support.parallel import run_parallel
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 TWO_PI: Final = 2.0 * math.pi
 BINS_PER_PERIOD: Final = 6.0

@@ -9,7 +9,6 @@ from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import find_encoder_force
 from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, MACHINE_PRIOR, Fit, Subject, find_at_bounds
@@ -19,11 +18,8 @@ from sgms_mhe.diagnosis.record_fit import RecordFit, shift_position
 from sgms_mhe.diagnosis.uncertainty import find_errors
 from sgms_mhe.recordings.evidence import invert_information
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise
+from sgms_mhe.support.arrays import Array, Index, Mask
 from sgms_mhe.support.parallel import run_parallel
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
 ORIGIN_STEPS: Final = 16
 """Steps of its derivative that an origin may move by, either way [1]: an eighth of the shortest period."""

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.beginning import refute_by_causes
 from sgms_mhe.diagnosis.causes import find_vague
@@ -22,9 +21,7 @@ from sgms_mhe.diagnosis.record_fit import RecordFit
 from sgms_mhe.diagnosis.result import Cause, Diagnosis
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import base_number, effect_definition
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Mask
 
 
 def find_common(found: Diagnosis, fit: RecordFit, causes: Sequence[Cause]) -> Mask:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.coordinates import Coordinate, Kind
 from sgms_mhe.model.effects.definition import Value
 from sgms_mhe.model.effects.learned_residual import TableCoordinate, table_entry
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

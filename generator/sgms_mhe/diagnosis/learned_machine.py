@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import step_every_sample
 from sgms_mhe.diagnosis.alignment import in_step
@@ -22,8 +21,6 @@ from sgms_mhe.model.building import logged_share
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
-
-Array = NDArray[np.float64]
 
 
 def learn_beside(record: Recording, full: RecordResidual, blind: RecordResidual, floor: float) -> Learned | None:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from sgms_mhe.diagnosis.coordinates import Coordinate, Kind, Warp, warp_motion
@@ -24,11 +23,8 @@ from sgms_mhe.diagnosis.learned import Learned, LearnedTerm
 from sgms_mhe.recordings.evidence import difference_statistic
 from sgms_mhe.recordings.recording import ROWS_MIN, Recording
 from sgms_mhe.recordings.series import row_means
+from sgms_mhe.support.arrays import Array, Index, Mask
 from sgms_mhe.support.decisions import log_decision
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
 ROWS: Final = 5000
 """Means of a record that are learned from, at most [1]."""

@@ -14,7 +14,6 @@ from functools import cached_property, lru_cache, partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.harmonics import CUTOFF_BAND, PITCH_BAND, search_harmonic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, nearest_peak, propose
@@ -22,10 +21,8 @@ from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
 from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.series import bin_sums
+from sgms_mhe.support.arrays import Array, Index, Mask
 from sgms_mhe.support.parallel import run_parallel
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 TWO_PI: Final = 2.0 * math.pi
 BINS_PER_PERIOD: Final = 16  # of the shortest: a bin then loses 0.6 % of a sine
@@ -101,7 +98,7 @@ class _Beside:
         target: with the residual (folds, p).
     """
 
-    fold: NDArray[np.int64]
+    fold: Index
     own: Array
     target: Array
 

@@ -10,7 +10,6 @@ from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.own_numbers import OwnNumbers
@@ -41,10 +40,9 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise
 from sgms_mhe.recordings.recording import SPLIT, Recording
 from sgms_mhe.recordings.series import Shift, row_means
+from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.parallel import run_parallel
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
 SAME_STATE: Final = 1e-9  # of a state of about 1: two that differ by less go on alike
 SAME_SLOPES: Final = 1e-6  # the same for its derivatives

@@ -18,7 +18,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from sgms_mhe.diagnosis.alignment import decimate, find_sampling_columns, in_step
@@ -42,11 +41,9 @@ from sgms_mhe.recordings.evidence import (
 from sgms_mhe.recordings.excerpt import make_excerpt
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import run_parallel
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 A_PERIOD: Final = 8
 """Origins tried per period of the shortest sine [1]: the nearest one leaves 4 % of its power."""

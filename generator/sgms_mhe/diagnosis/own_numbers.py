@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition, reported_name
 from sgms_mhe.recordings.recording import Recording
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Mask
 
 
 def is_of_record(name: str, recording: Recording) -> bool:

@@ -14,7 +14,6 @@ from typing import Any, Final, Literal, Self
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.host.evaluation import Evaluation
@@ -27,13 +26,13 @@ from sgms_mhe.model.effects.definition import ReadAs
 from sgms_mhe.model.effects.parameters import RecordLimit, StepLimit, any_step
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.arrays import Array
 
 COARSE: Final = 4.0  # factor between nominal values that models are compiled for
 STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
 SLOW_STEP: Final = 0.02  # deflection scales of a smooth element per step below the gate: off by 1e-5 of its level
 Nominal = tuple[tuple[str, float], ...]
 """Nominal values of an effect's parameters, as a key."""
-Array = NDArray[np.float64]
 AT_A_TIME: Final = 16_384  # samples whose intermediate values stay near the processor
 FORCES_CACHED: Final = 512  # structures that were looked at
 MIXING: Final[tuple[Stage, ...]] = ("signal", "motor", "log", "actuator")

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.final_fit import RecordResidual
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
@@ -18,9 +17,9 @@ from sgms_mhe.recordings.excerpt import SEAM, make_excerpt
 from sgms_mhe.recordings.joining import drop_rows, join_recordings
 from sgms_mhe.recordings.recording import REMEMBERED_MIN, Recording, add_encoder, count_spanning, forget_extent, prepare
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.parallel import beside
 
-Array = NDArray[np.float64]
 Intervals = Sequence[tuple[float, float]]
 
 

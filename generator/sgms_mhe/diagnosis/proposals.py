@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.model.effects import EffectDefinition, MotionRecord
 from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.recording import Recording
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 NARROWED: Final = (1.0, 1.0, 0.3, 0.1)  # of the first width: those of the parabolas about a peak
 

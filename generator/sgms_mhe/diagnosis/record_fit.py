@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import align
 from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, Fit, Subject
@@ -15,9 +14,7 @@ from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, 
 from sgms_mhe.model.effects import EFFECT_NAMES, reported_name
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording, Runs
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)

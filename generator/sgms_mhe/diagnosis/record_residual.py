@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import step_every_sample
 from sgms_mhe.diagnosis.verdict import SMEARED
@@ -17,8 +16,7 @@ from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import apply_chain
 from sgms_mhe.signals.logs import Log
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 
 @dataclass(frozen=True)

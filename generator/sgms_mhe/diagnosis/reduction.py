@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import Criteria, make_effect, small_force
@@ -18,10 +17,10 @@ from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup, 
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.effects.search import Harmonic, Periodic
 from sgms_mhe.recordings.evidence import cross_loss, gain_force
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 
-Array = NDArray[np.float64]
 Groups = tuple[ParameterGroup, ...]
 
 

@@ -8,9 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sgms_mhe.diagnosis.alignment import find_encoder_force
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import (
@@ -41,7 +38,6 @@ from sgms_mhe.recordings.evidence import difference_statistic, gain_force, noise
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 
-Array = NDArray[np.float64]
 RIVAL_STEPS: Final = 3
 """Times that a better candidate takes a cause's place, at most [1]: two that are better in turns would never end."""
 

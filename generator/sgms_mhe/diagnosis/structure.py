@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import welch
 
 from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import apply_chain
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 REST: Final = 1e-9  # m in a row that are no motion
 MAP_BINS: Final = 40

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Index, Mask
 
 
 @dataclass(frozen=True)
@@ -34,7 +30,7 @@ class Traces:
     held_out_fit_N: Array
     used: Mask
     held_out: Mask
-    block: NDArray[np.int64]
+    block: Index
     rate: float
 
     @property

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import in_step
 from sgms_mhe.diagnosis.beginning import plain_friction
@@ -37,7 +36,6 @@ from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 
-Array = NDArray[np.float64]
 Intervals = Sequence[tuple[float, float]]
 
 ORIGIN_STEPS: Final = 16 * A_PERIOD

@@ -13,7 +13,6 @@ from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fits import Fit, Subject, prior_information
 from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST
@@ -21,9 +20,9 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.encoder import encoder_noise
 from sgms_mhe.recordings.evidence import TINY, UNSEEN_ERROR, invert_information, robust_covariance
 from sgms_mhe.recordings.recording import Recording, Runs
+from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.parallel import run_parallel
 
-Array = NDArray[np.float64]
 NOISY_CACHED: Final = 2  # records with more noise: that of the rows' rate, and the full one
 MOSTLY: Final = 0.5
 """Share of the power of a residual, a floor or an effect's gain, from which on it is said to be the encoder's noise: a
@@ -188,7 +187,7 @@ def standard_deviations(covariance: Array, fit: Fit) -> list[float]:
     ]
 
 
-def _is_smooth(subject: Subject, fit: Fit, jacobian: Array) -> NDArray[np.bool_]:
+def _is_smooth(subject: Subject, fit: Fit, jacobian: Array) -> Mask:
     """Rows (m) whose slopes (m, n_p) say what a change of the numbers of a fit does.
 
     Where elements let go or a gap opens again and again along a short way, a derivative grows with every time, far

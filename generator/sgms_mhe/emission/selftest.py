@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.emission.compensation import compensation_of
 from sgms_mhe.emission.selftest_motion import CountedMotion, selftest_motion
@@ -24,8 +23,7 @@ from sgms_mhe.signals.chain import (
     signals_from_log,
 )
 from sgms_mhe.signals.estimates import Estimates
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 _MOST_STEPS = 5000
 """Steps of the series that the reference integrates for the vectors, at most, in jumps of the flow."""

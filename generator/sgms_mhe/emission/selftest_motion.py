@@ -8,12 +8,10 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 _STROKE_PART = 1.7
 """Duration of a stroke over that of an interval: no whole number, so that updates meet it everywhere."""

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.emission.context import hold_path
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -27,8 +26,8 @@ from sgms_mhe.reference.plan import motion_of
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, select_flags
+from sgms_mhe.support.arrays import Array, Index, Mask
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called with (updates done, updates in all)."""
 
@@ -110,7 +109,7 @@ def compare_estimates(
     generated: Estimates,
     reference: Estimates,
     prior_std: Array,
-    undecided: NDArray[np.int64] | None = None,
+    undecided: Index | None = None,
 ) -> Comparison:
     """Compare two sets of estimates of the same signals.
 
@@ -169,7 +168,7 @@ def compare_signals(machine: Machine, signals: Signals, *, progress: Progress | 
 
 def undecided_flags(
     machine: Machine, signals: Signals, estimates: Estimates, parameters: Sequence[FreeParameter]
-) -> NDArray[np.int64]:
+) -> Index:
     """Flags that at each update (u) depend on a number which lies on its limit, within the tolerance `status`."""
     tolerance = TOLERANCES[machine.code.precision].status
     samples, updates = machine.sampling.samples_per_update, len(estimates)
@@ -200,7 +199,7 @@ def _bounds(estimates: Estimates) -> int:
 
 
 def _quantity(
-    name: str, generated: Array, reference: Array, unit: Array | float, tolerance: float, counts: NDArray[np.bool_]
+    name: str, generated: Array, reference: Array, unit: Array | float, tolerance: float, counts: Mask
 ) -> ComparedQuantity:
     difference = np.abs(generated - reference)[counts]
     unit = np.broadcast_to(unit, len(reference))[counts]

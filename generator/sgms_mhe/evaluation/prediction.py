@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import decimate
 
 from sgms_mhe.configuration import step_every_sample
@@ -18,11 +17,10 @@ from sgms_mhe.recordings.free_run import FreeRun
 from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.chain import Signals, signals_of_record
 from sgms_mhe.signals.logs import Log, align_velocity, write_columns
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
-
-Array = NDArray[np.float64]
 
 MOST_DECIMATION: Final = 100
 _FILTER_LENGTH: Final = 10  # rows behind the decimation: a stretch that is shorter says nothing there

@@ -21,18 +21,17 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import Signals, signals_from_log
-from sgms_mhe.signals.innovations import LEAST_UPDATES, Mask, innovation_loss, moving_updates
+from sgms_mhe.signals.innovations import LEAST_UPDATES, innovation_loss, moving_updates
 from sgms_mhe.signals.logs import Log, align_velocity
+from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import Presentation, Shown
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 STEPS: Final = (10.0, 10.0**0.5, 10.0**0.25)

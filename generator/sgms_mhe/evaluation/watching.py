@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, REFUSED, has_measurement, select_flags
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array, Mask
 
 WORDS: Final[Mapping[str, str]] = {
     REFUSED: "refused: the last good estimate is kept",
@@ -65,7 +63,7 @@ class Trend:
         every: rows that a point stands for.
     """
 
-    def __init__(self, greatest: NDArray[np.bool_]) -> None:
+    def __init__(self, greatest: Mask) -> None:
         self._greatest = greatest
         self._points = np.empty((0, len(greatest)))
         self._waiting = np.empty((0, len(greatest)))
@@ -197,7 +195,7 @@ class RunSummary:
             "episodes": [vars(episode) for episode in self.episodes],
         }
 
-    def _find_episodes(self, e: Estimates, flags: Mapping[str, NDArray[np.bool_]], taken: NDArray[np.bool_]) -> None:
+    def _find_episodes(self, e: Estimates, flags: Mapping[str, Mask], taken: Mask) -> None:
         """Stretches with a fault. Measurements are not missed before the first one: the signal chain settles."""
         begun = int(np.argmax(taken)) if taken.any() else len(taken)
         seen: list[tuple[int, str]] = []

@@ -7,10 +7,9 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.emission.package import Package, write_package
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
@@ -19,11 +18,11 @@ from sgms_mhe.model import Model, build_model
 from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import AnyArray, Array, Index
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, QUICK_FLAGS, load_library, shared_library, wide_flags
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called with (updates done, updates in all)."""
 
@@ -49,7 +48,7 @@ class Replay:
     """Updates of a replay as the C writes them: `rows` (u, columns), `status` (u), `compensation` [N] (n)."""
 
     rows: Array
-    status: NDArray[np.int64]
+    status: Index
     compensation: Array
 
 
@@ -323,7 +322,7 @@ class RunningEstimator:
         ctypes.memmove(self._memory, memory, len(memory))
 
 
-def _arrays(signals: Log | Signals) -> dict[str, NDArray[Any]]:
+def _arrays(signals: Log | Signals) -> dict[str, AnyArray]:
     """Position and force, or aligned signals, as the replay takes them."""
     if isinstance(signals, Log):
         return {"position": signals.position_m, "force": signals.force_N}

@@ -7,11 +7,9 @@ from typing import Any, Final
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.emission.graph import Graph, Node, walk
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 _OPERATIONS: Final[Mapping[str, Callable[..., Any]]] = {
     "add": np.add,

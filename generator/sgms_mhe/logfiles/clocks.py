@@ -6,13 +6,13 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sgms_mhe.logfiles.table import Array, Column, Table
+from sgms_mhe.logfiles.table import Column, Table
 from sgms_mhe.logfiles.timing import GAP
+from sgms_mhe.support.arrays import AnyArray, Array
 from sgms_mhe.support.errors import InputError
 
 Note = Callable[[str], None]
@@ -33,7 +33,7 @@ def join_seconds(table: Table) -> Table:
         if name := _PART.fullmatch(column.header):
             unit = name["unit"][0].lower()
             found.setdefault(name["of"], {})["whole" if unit == "s" else unit] = column
-    stamps: dict[str, NDArray[Any]] = {}
+    stamps: dict[str, AnyArray] = {}
     for columns in found.values():
         unit = next((unit for unit in columns if unit != "whole"), None)
         if "whole" in columns and unit is not None:
@@ -44,7 +44,7 @@ def join_seconds(table: Table) -> Table:
     if not stamps:
         return table
 
-    def read(wanted: Sequence[str]) -> Mapping[str, NDArray[Any]]:
+    def read(wanted: Sequence[str]) -> Mapping[str, AnyArray]:
         own = table.read([name for name in wanted if name not in stamps])
         return {**own, **{name: stamps[name] for name in wanted if name in stamps}}
 

@@ -10,10 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.logfiles.decimals import Mark
 from sgms_mhe.logfiles.dialect import (
@@ -31,11 +30,12 @@ from sgms_mhe.logfiles.encoding import Decoder, check_text
 from sgms_mhe.logfiles.quantities import Turns, check_signs, si_piece, turns_of
 from sgms_mhe.logfiles.reading import LogContent, fields_of_log, log_of
 from sgms_mhe.logfiles.sources import choose_sources
-from sgms_mhe.logfiles.table import Array, Table
+from sgms_mhe.logfiles.table import Table
 from sgms_mhe.logfiles.text import Cells, read_plainly
 from sgms_mhe.logfiles.timing import check_rising, check_steps, measure_time
 from sgms_mhe.machine import QUANTITIES, LogMapping, Machine
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import AnyArray, Array, Index
 from sgms_mhe.support.errors import InputError
 
 LEAST_ROWS: Final = 60
@@ -181,7 +181,7 @@ class _Told:
     time: Array
     samples: int
     recent: Mapping[str, Array]
-    lines: NDArray[np.int64]
+    lines: Index
 
 
 class _Rows:
@@ -293,7 +293,7 @@ class _Rows:
         told.time, told.samples = time[-1:], told.samples + len(rows)
         return columns
 
-    def _check_signs(self, told: _Told, raw: Mapping[str, NDArray[Any]], lines: Sequence[int]) -> None:
+    def _check_signs(self, told: _Told, raw: Mapping[str, AnyArray], lines: Sequence[int]) -> None:
         """Refuse a number that was recorded without its sign, as the reader of whole logs does."""
         ends = range(told.samples + 1, told.samples + len(lines) + 1)
         told.lines = np.concatenate((told.lines, lines))
@@ -313,7 +313,7 @@ class _Rows:
         told.lines = told.lines[-RECENT:]
         told.recent = {name: values[-RECENT:] for name, values in told.recent.items()}
 
-    def _si(self, told: _Told, raw: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
+    def _si(self, told: _Told, raw: Mapping[str, AnyArray]) -> dict[str, Array]:
         columns = si_piece(self._path, self._table, self._sources, raw, told.turns)
         if "time_s" in columns or self._rate is None:
             return columns

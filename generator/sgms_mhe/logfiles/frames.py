@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.logfiles.decimals import Mark, told_by, value_of
-from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, real, seconds
+from sgms_mhe.logfiles.table import Table, array_row, columns_of, real, seconds
+from sgms_mhe.support.arrays import AnyArray, Array
 from sgms_mhe.support.errors import InputError
 
 FRAME = Path("DataFrame")
@@ -55,7 +55,7 @@ def read_frame(frame: Frame | Mapping[str, Any]) -> Table:
     return Table("DataFrame", columns_of(list(columns)), read, array_row, stamped=stamped)
 
 
-def _index(frame: Frame | Mapping[str, Any], names: Sequence[Any]) -> dict[str, NDArray[Any]]:
+def _index(frame: Frame | Mapping[str, Any], names: Sequence[Any]) -> dict[str, AnyArray]:
     """The index of a DataFrame as a column, where it says what it is."""
     index = getattr(frame, "index", None)
     if index is None or callable(index):
@@ -67,7 +67,7 @@ def _index(frame: Frame | Mapping[str, Any], names: Sequence[Any]) -> dict[str, 
     return {} if name in map(str, names) else {name: values}
 
 
-def _values(name: str, values: NDArray[Any]) -> Array:
+def _values(name: str, values: AnyArray) -> Array:
     """Numbers of a column: those of stamps in seconds since the first, of durations in seconds."""
     if values.dtype.kind == "M":
         return seconds(values)
@@ -78,7 +78,7 @@ def _values(name: str, values: NDArray[Any]) -> Array:
     return real(FRAME, name, values)
 
 
-def _numbers(name: str, cells: NDArray[Any]) -> Array:
+def _numbers(name: str, cells: AnyArray) -> Array:
     """Cells as numbers, texts by the decimal mark that they tell. Raises InputError for the first that is none."""
     tokens = [cell.strip() if isinstance(cell, str) else cell for cell in cells.tolist()]
     mark: Mark = "," if any(isinstance(token, str) and told_by(token) == "," for token in tokens) else "."

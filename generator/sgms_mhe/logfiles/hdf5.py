@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sgms_mhe.logfiles.table import Array, StoredArray, Table, real, refuse_damage, table_of_arrays
+from sgms_mhe.logfiles.table import StoredArray, Table, real, refuse_damage, table_of_arrays
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.libraries import optional_library
 
 _WHOLE = "a whole HDF5 file, its columns arrays of real numbers"

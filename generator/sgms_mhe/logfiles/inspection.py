@@ -12,8 +12,9 @@ from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import LogContent, log_of, read_table, understand_table
 from sgms_mhe.logfiles.sources import find_missing
-from sgms_mhe.logfiles.table import Array, Column, Table
+from sgms_mhe.logfiles.table import Column, Table
 from sgms_mhe.machine import LogMapping, Machine
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 
 

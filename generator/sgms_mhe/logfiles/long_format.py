@@ -11,8 +11,9 @@ from typing import Final
 from sgms_mhe.logfiles.decimals import is_missing
 from sgms_mhe.logfiles.dialect import Dialect, fields_of, is_value
 from sgms_mhe.logfiles.names import is_usual, plain_name
-from sgms_mhe.logfiles.table import Array, Column, Table
+from sgms_mhe.logfiles.table import Column, Table
 from sgms_mhe.machine import LogMapping
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 
 _PROBE: Final = 1000

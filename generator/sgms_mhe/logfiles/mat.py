@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from sgms_mhe.logfiles.mat73 import DEEPEST, describe_values, hdf_variables
-from sgms_mhe.logfiles.table import Array, StoredArray, Table, refuse_damage, table_of_arrays
+from sgms_mhe.logfiles.table import StoredArray, Table, refuse_damage, table_of_arrays
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.libraries import optional_library
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}

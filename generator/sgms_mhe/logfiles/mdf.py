@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, damage_error, real, refuse_damage
+from sgms_mhe.logfiles.table import Table, array_row, columns_of, damage_error, real, refuse_damage
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.libraries import optional_library
 
 _WHOLE = "a whole MDF file of numeric channels"

@@ -18,10 +18,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 BLOCKS: Final = 10
 """Parts of the record, each left out once: the spread of what is left is the standard error."""

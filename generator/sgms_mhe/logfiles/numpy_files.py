@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array, StoredArray, Table, real, refuse_damage, seconds, table_of_arrays
+from sgms_mhe.logfiles.table import StoredArray, Table, real, refuse_damage, seconds, table_of_arrays
+from sgms_mhe.support.arrays import Array
 
 _WHOLE = "a whole NPZ archive, or NPY file, of numeric arrays"
 

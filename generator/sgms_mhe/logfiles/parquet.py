@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, real, refuse_damage, seconds
+from sgms_mhe.logfiles.table import Column, Table, array_row, real, refuse_damage, seconds
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.libraries import optional_library
 
 

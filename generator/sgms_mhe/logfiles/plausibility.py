@@ -13,15 +13,13 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.logfiles.newton import find_inertia, find_sign, since_reversal
 from sgms_mhe.machine import QUANTITIES, Kind, Machine, log_line
 from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.errors import ImplausibleError, InputError
-
-Array = NDArray[np.float64]
 
 TOO_FAST: Final = 5.0
 """Of max_velocity: a speed that a twentieth of a record exceeds is no speed of this axis."""
@@ -222,7 +220,7 @@ class _Motion:
         return len(self.force)
 
 
-def _is_usual(values: Array) -> NDArray[np.bool_]:
+def _is_usual(values: Array) -> Mask:
     """Mask (n,) of the values that are not among the largest, either way; all where they are equal."""
     sizes = np.abs(values)
     return sizes <= (np.quantile(sizes, USUAL) if len(sizes) else 0.0)

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.logfiles.clocks import Note, align_clocks
 from sgms_mhe.logfiles.sources import Source
-from sgms_mhe.logfiles.table import Array, Table
+from sgms_mhe.logfiles.table import Table
 from sgms_mhe.machine import COUNTS, log_line
+from sgms_mhe.support.arrays import AnyArray, Array
 from sgms_mhe.support.errors import InputError
 
 PERIODS: Final = (256.0, 4096.0, 8192.0, 65536.0, 16777216.0, 4294967296.0, 1.0, 360.0, 2.0 * np.pi, 400.0)
@@ -100,7 +100,7 @@ def si_values(
     return {name: values[:shortest] for name, values in columns.items()}
 
 
-def _clocks(path: Path, table: Table, sources: tuple[Source, ...], raw: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
+def _clocks(path: Path, table: Table, sources: tuple[Source, ...], raw: Mapping[str, AnyArray]) -> dict[str, Array]:
     """Times [s] of the columns that are on another clock than the log's; both in one unit."""
     time = next(source for source in sources if source.quantity.role == "time")
     others = {s.quantity.column: table.clocks[s.column] for s in sources if s.column in table.clocks}
@@ -124,7 +124,7 @@ def integrate(columns: Mapping[str, Array], velocity: str) -> Array:
 
 
 def si_piece(
-    path: Path, table: Table, sources: tuple[Source, ...], raw: Mapping[str, NDArray[Any]], turns: Mapping[str, Turns]
+    path: Path, table: Table, sources: tuple[Source, ...], raw: Mapping[str, AnyArray], turns: Mapping[str, Turns]
 ) -> dict[str, Array]:
     """Columns of a log, or of a piece of one, (n,) by their names, in SI units.
 
@@ -152,7 +152,7 @@ def si_piece(
     return columns
 
 
-def _vector(path: Path, source: Source, values: NDArray[Any]) -> Array:
+def _vector(path: Path, source: Source, values: AnyArray) -> Array:
     """A vector (n,): the array itself, or a row of a matrix whose signals lie along its longer side."""
     where = f"variable {source.column}"
     if source.row is None:
@@ -223,7 +223,7 @@ def _centre(values: Array, period: float) -> Array:
 
 
 def check_signs(
-    path: Path, sources: tuple[Source, ...], raw: Mapping[str, NDArray[Any]], row: Callable[[int], str]
+    path: Path, sources: tuple[Source, ...], raw: Mapping[str, AnyArray], row: Callable[[int], str]
 ) -> tuple[Source, ...]:
     """The sources, with the period of each register whose numbers are scaled.
 

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.logfiles.clocks import Note, join_seconds
 from sgms_mhe.logfiles.hdf5 import read_hdf5
@@ -23,11 +22,12 @@ from sgms_mhe.logfiles.plausibility import note_speed_scale
 from sgms_mhe.logfiles.quantities import integrate, si_values
 from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
-from sgms_mhe.logfiles.table import Array, Column, Table
+from sgms_mhe.logfiles.table import Column, Table
 from sgms_mhe.logfiles.text import read_text
 from sgms_mhe.logfiles.timing import Timing, check_steps, measure_time
 from sgms_mhe.machine import OF_KIND, QUANTITIES, REQUIRED, Kind, LogMapping, Machine
 from sgms_mhe.signals.logs import JITTER, Log, advise_time_unit, check_rate
+from sgms_mhe.support.arrays import AnyArray, Array
 from sgms_mhe.support.errors import InputError
 
 READERS: Final[Mapping[str, Callable[[Path], Table]]] = MappingProxyType(
@@ -247,7 +247,7 @@ def _join(table: Table, file: str, other: Table) -> Table:
     names = {f"{file}:{column.name}": column for column in other.columns}
     columns = [Column(name, "", c.unit or split_name(c.header)[1], c.shape) for name, c in names.items()]
 
-    def read(wanted: Sequence[str]) -> Mapping[str, NDArray[Any]]:
+    def read(wanted: Sequence[str]) -> Mapping[str, AnyArray]:
         there = [name for name in wanted if name in names]
         own = table.read([name for name in wanted if name not in names])
         found = other.read([names[name].name for name in there])

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from sgms_mhe.logfiles.table import Array
 from sgms_mhe.logfiles.timing import GAP, Timing
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 
 FASTEST: Final = 2.0

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.logfiles.decimals import is_missing
-from sgms_mhe.logfiles.table import Array
+from sgms_mhe.support.arrays import Array
 
 _CLOCK: Final = (
     r"(?P<h>\d{1,2}):(?P<min>\d{2}):(?P<s>\d{2})(?:(?:[.,]|:(?=\d{3}(?!\d)))(?P<frac>\d{1,12}))?"

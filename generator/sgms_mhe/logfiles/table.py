@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sgms_mhe.support.arrays import AnyArray, Array
 from sgms_mhe.support.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class Table:
 
     form: str
     columns: tuple[Column, ...]
-    read: Callable[[Sequence[str]], Mapping[str, NDArray[Any]]]
+    read: Callable[[Sequence[str]], Mapping[str, AnyArray]]
     row: Callable[[int], str]
     dialect: tuple[tuple[str, str], ...] = ()
     stamped: frozenset[str] = frozenset()
@@ -131,7 +129,7 @@ def real(path: Path, name: str, value: Any) -> Array:
     return array.astype(np.float64)
 
 
-def seconds(stamps: NDArray[Any]) -> Array:
+def seconds(stamps: AnyArray) -> Array:
     """datetime64 (n,) as seconds since the first; NaN where there is none."""
     whole = stamps.astype("datetime64[ns]")
     known = ~np.isnat(whole)

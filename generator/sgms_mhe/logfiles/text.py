@@ -17,8 +17,9 @@ from sgms_mhe.logfiles.json_files import SUFFIXES, find_samples
 from sgms_mhe.logfiles.list_cells import spread_lists
 from sgms_mhe.logfiles.long_format import pivot
 from sgms_mhe.logfiles.stamps import Stamps, stamp_form
-from sgms_mhe.logfiles.table import Array, Table, columns_of
+from sgms_mhe.logfiles.table import Table, columns_of
 from sgms_mhe.machine import LogMapping
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 
 COMPRESSED: Final = ".gz"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array
 from sgms_mhe.signals.logs import JITTER
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 
 GAP = 2.5

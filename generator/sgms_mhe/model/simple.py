@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 SOLVER_REFERENCE: Final = (0.02, 1.0)
 SOLVER_IMPEDANCE: Final = (0.9, 0.95, 0.001, 0.5, 2.0)

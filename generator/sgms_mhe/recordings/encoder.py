@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.recordings.recording import Recording, filter_position
 from sgms_mhe.signals.noise import noise_course, position_noise
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 SEED: Final = 20241125
 """Of the noise: the same log gives the same verdict."""

@@ -9,15 +9,14 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.fft import next_fast_len, rfft
 from scipy.ndimage import uniform_filter1d
 
 from sgms_mhe.recordings.noise import find_colour, quiet_variance
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.arrays import Array
 
-Array = NDArray[np.float64]
 TINY: Final = 1e-300  # keeps quotients of nothing finite
 UNSEEN: Final = 1e-9  # of the longest column: a shorter one is not excited
 RANK: Final = 1e-10  # of the largest eigenvalue of the scaled Gram matrix

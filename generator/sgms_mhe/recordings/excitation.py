@@ -6,7 +6,6 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from sgms_mhe.machine import Machine
@@ -15,14 +14,13 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.chain import Signals
+from sgms_mhe.support.arrays import Array, Mask
 
 MOVING_WAY: Final = 0.1
 """Way within MOVING_TIME from which the axis moves, for what excites an effect [smallest deflection scale]: less is
 rest and noise."""
 MOVING_TIME: Final = 0.01
 """Time that MOVING_WAY is covered in [s]: averages the noise of the position."""
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 ALIKE: Final = 0.95
 """Correlation of a motion with itself a lap later from which it repeats itself."""
 UNLIKE: Final = 0.5

@@ -7,13 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.recordings.path import ENCODERS
 from sgms_mhe.recordings.recording import Recording, Runs
 from sgms_mhe.signals.chain import Signals
-
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Mask
 
 
 def join_recordings(recordings: Sequence[Recording]) -> Recording:

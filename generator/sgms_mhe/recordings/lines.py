@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 NEIGHBOURS: Final = 64  # frequencies whose median is the background of each
 BEYOND_CHANCE: Final = 9.0

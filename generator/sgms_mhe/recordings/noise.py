@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
@@ -16,9 +15,7 @@ from scipy.signal import lfilter
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.lines import Lines
 from sgms_mhe.signals.chain import lowpass_coefficients
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Mask
 
 SMOOTH_ORDER: Final = 2  # of the polynomial that is smooth over a piece
 QUIETEST: Final = 0.1  # of the pieces: those that hold nothing but noise, if any do

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 DIFFERENCE: Final = (-1.0, 3.0, -3.0, 1.0)
 """Third difference: what of a way is smooth has little of it."""

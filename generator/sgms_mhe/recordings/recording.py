@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Extents
@@ -21,14 +20,12 @@ from sgms_mhe.recordings.series import find_runs, row_means
 from sgms_mhe.signals.chain import Signals, find_lost, readings, settle_samples, signals_from_log, signals_of_record
 from sgms_mhe.signals.logs import Log, align_velocity
 from sgms_mhe.signals.noise import encoder_step, position_noise
+from sgms_mhe.support.arrays import Array, Index, Mask
 from sgms_mhe.support.errors import InputError
 
-Array = NDArray[np.float64]
 Run = tuple[Array, Array | None]
 """Friction (m) and its derivatives (m, n_p), None where not asked for."""
 RUNS_CACHED: Final = 12  # runs: a fit begins where another one ended, an alignment runs what a fit ended with
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 INPUTS_KEPT: Final = 1_000_000  # samples, 40 MB
 SPLIT: Final = 20_000  # rows from which on halves of a record run at the same time
 LONGEST_LEAD: Final = 10  # share of a record, at most, that the second half runs through before it

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array, Index, Mask
 
 
 def row_means(series: Array, factor: int) -> Array:
@@ -26,13 +25,13 @@ def row_means(series: Array, factor: int) -> Array:
     return np.asarray(np.einsum("ij...->i...", rows) / factor)
 
 
-def find_runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def find_runs(mask: Mask) -> list[tuple[int, int]]:
     """(first, after the last) of every run of true entries (n)."""
     edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0)).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def bin_sums(series: Array, weight: Array, index: NDArray[np.int64], count: int) -> Array:
+def bin_sums(series: Array, weight: Array, index: Index, count: int) -> Array:
     """Sums over the rows of each bin of weight (m) times series (m, k): (count, k); `index`: each row's bin (m).
 
     A product with a sparse matrix: all series at once, where `bincount` goes through the rows for each.

@@ -11,19 +11,16 @@ from functools import cached_property
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.reference.blocks import Blocks
 from sgms_mhe.reference.flow import DEGREE, NEAR
 from sgms_mhe.reference.linearised import Linearised, Outputs
 from sgms_mhe.reference.plan import BEFORE_TURN, Plan
+from sgms_mhe.support.arrays import AnyArray, Array
 from sgms_mhe.support.toolchain import QUICK_FLAGS, load_library, shared_library
-
-Array = NDArray[np.float64]
 
 
 class CompiledLoops:
@@ -138,5 +135,5 @@ class CompiledLoops:
         return "\n".join(["", *lines, ""])
 
 
-def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
+def _pointer(array: AnyArray) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)

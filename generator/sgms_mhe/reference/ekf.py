@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.reference.least_squares import solve_bounded
 from sgms_mhe.reference.problem import NOT_FINITE, NodeRecord, Progress, UpdateStatus, estimates
 from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling
 from sgms_mhe.reference.window import linearise, take_interval
 from sgms_mhe.signals.estimates import Estimates
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 
 def run_ekf(record: NodeRecord, progress: Progress | None = None) -> Estimates:

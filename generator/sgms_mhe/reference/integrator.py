@@ -7,9 +7,6 @@ run in compiled C around CasADi's generated functions, or in Python where there 
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sgms_mhe.model import Model
 from sgms_mhe.reference.blocks import Blocks, IntegratedBlock
 from sgms_mhe.reference.compiled_loops import CompiledLoops
@@ -19,9 +16,8 @@ from sgms_mhe.reference.plan import Plan, Planner
 from sgms_mhe.reference.python_loops import PythonLoops
 from sgms_mhe.reference.step_functions import step_functions
 from sgms_mhe.signals.chain import Signals
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import BuildError
-
-Array = NDArray[np.float64]
 
 
 class ReferenceIntegrator:

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.reference.readings import Innovation
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 BLOCK = 50
 """Intervals with motion of a block."""

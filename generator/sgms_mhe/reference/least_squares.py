@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import osqp
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.sparse import csc_matrix
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Mask
 
 # A multiplier has the wrong sign when it exceeds this part of what its column could produce.
 KKT_TOLERANCE = 1e-11

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from sgms_mhe.reference.least_squares import solve_bounded, triangular_factor
@@ -23,8 +22,7 @@ from sgms_mhe.reference.window import (
     window_of,
 )
 from sgms_mhe.signals.estimates import Estimates
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array, Mask
 
 
 class StoredIntervals(NamedTuple):
@@ -228,8 +226,8 @@ def take_newest(
 
 
 def _solve(
-    record: NodeRecord, window: Window, arrival: Gaussian, scales: NoiseFactors, active: NDArray[np.bool_]
-) -> tuple[Array, Array, Array, NDArray[np.bool_]] | None:
+    record: NodeRecord, window: Window, arrival: Gaussian, scales: NoiseFactors, active: Mask
+) -> tuple[Array, Array, Array, Mask] | None:
     """(x, theta, std of theta, bounds active) of one update; None where it is not finite."""
     weights = record.weights
     nodes, n_x = window.x.shape

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.machine import Sampling
 from sgms_mhe.reference.blocks import Blocks, IntegratedBlock
 from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
+from sgms_mhe.support.arrays import Array, Index, Mask
 
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+Counts = Index
 
 # Largest lambda up to which a slow RK4 substep is as long as the settings say: the slip window is 1 / lambda wide.
 WIDE_LAMBDA = 35.0

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.model import Model
 from sgms_mhe.reference.integrator import ReferenceIntegrator
@@ -16,8 +15,8 @@ from sgms_mhe.reference.plan import Plan, inner_readings, motion_of
 from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling
 from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
 from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.support.arrays import Array, Index, Mask
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called as progress(updates done, updates in all)."""
 
@@ -181,12 +180,12 @@ class NodeRecord:
         self.w: Array = signal_array(signals, model.machine.sampling.step, mean=mean_samples(model.machine))[nodes]
         self.time: Array = signals.time[nodes]
         self.y: Array = signals.friction[nodes]
-        self.valid: NDArray[np.bool_] = signals.valid[nodes] & np.isfinite(self.y)
+        self.valid: Mask = signals.valid[nodes] & np.isfinite(self.y)
         inside = (slice(None), inner_readings(model.machine.sampling))
         after = slice(1, self.updates * samples + 1)
         self.inner_y: Array = signals.friction[after].reshape(self.updates, samples)[inside]
         valid = signals.valid[after].reshape(self.updates, samples)[inside]
-        self.inner_valid: NDArray[np.bool_] = valid & np.isfinite(self.inner_y)
+        self.inner_valid: Mask = valid & np.isfinite(self.inner_y)
 
     @property
     def first(self) -> Gaussian:
@@ -232,7 +231,7 @@ def estimates(
     x: Array,
     theta: Array,
     std: Array,
-    status: NDArray[np.int64],
+    status: Index,
     readings: Sequence[MeasurementResult] | None = None,
 ) -> Estimates:
     """Results of all updates: x (u, n_x), theta, std in scaled units (u, n_p); the newest reading of each, if known."""

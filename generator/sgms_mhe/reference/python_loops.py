@@ -8,14 +8,12 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.reference.blocks import Blocks
 from sgms_mhe.reference.flow import NEAR, relaxation
 from sgms_mhe.reference.linearised import Linearised, Outputs
 from sgms_mhe.reference.plan import BEFORE_TURN, Plan
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 
 class Moved(NamedTuple):

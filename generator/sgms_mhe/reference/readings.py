@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 FAST, SLOW = 0.1, 0.003
 """Weight of the newest test ratio in the two means of them."""

@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, csr_matrix, diags, vstack
 from scipy.sparse.linalg import splu
 
 from sgms_mhe.reference.least_squares import solve_bounded
 from sgms_mhe.reference.problem import NodeRecord, Progress, UpdateStatus, estimates
 from sgms_mhe.signals.estimates import Estimates
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array, Mask
 
 MOST_ITERATIONS = 200
 # Converged: no unknown's gradient exceeds this part of the product of its column and the residual ...
@@ -85,7 +83,7 @@ def run_smoother(record: NodeRecord, progress: Progress | None = None) -> Estima
     return replace(result, extra={**result.extra, "x_first": x[0]})
 
 
-def _is_stationary(problem: _SmootherProblem, is_active: NDArray[np.bool_]) -> bool:
+def _is_stationary(problem: _SmootherProblem, is_active: Mask) -> bool:
     length = float(np.sqrt(problem.cost))
     columns = np.sqrt(np.asarray(problem.J_x.multiply(problem.J_x).sum(axis=0)).ravel())
     by_states = np.abs(problem.J_x.T @ problem.r) / np.maximum(columns * length, 1e-300)
@@ -160,9 +158,7 @@ def _condense(problem: _SmootherProblem, damping: float) -> tuple[Array, Array, 
     return d0, D, 0.5 * (information + information.T)
 
 
-def _step(
-    record: NodeRecord, problem: _SmootherProblem, theta: Array, damping: float
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _step(record: NodeRecord, problem: _SmootherProblem, theta: Array, damping: float) -> tuple[Array, Array, Mask]:
     weights = record.weights
     d0, D, information = _condense(problem, damping)
     gradient = problem.J_t.T @ (problem.J_x @ d0 + problem.r)

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.reference.linearised import Linearised, Outputs
 from sgms_mhe.reference.problem import NodeRecord
 from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling, take_reading
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 
 @dataclass(frozen=True)

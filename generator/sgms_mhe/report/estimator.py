@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
@@ -16,10 +15,9 @@ from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.status import FLAGS, has_measurement
+from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.errors import InputError
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 """Called with (updates done, updates in all), both estimators together."""
 

@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.coordinates import Coordinate, Kind
 from sgms_mhe.diagnosis.learned import Learned, LearnedTerm
 from sgms_mhe.report.plots import Role
 from sgms_mhe.report.series import numbers
 from sgms_mhe.report.units import axis_units, force, percent, reading
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 POINTS: Final = 120
 """Of a curve."""

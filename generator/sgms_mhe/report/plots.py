@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis import Diagnosis, Traces
 from sgms_mhe.recordings.series import find_runs
@@ -15,8 +14,8 @@ from sgms_mhe.report.rivals import InPlace
 from sgms_mhe.report.series import View, numbers, pack
 from sgms_mhe.report.units import axis_units
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import Array
 
-Array = NDArray[np.float64]
 Role = Literal["measured", "before", "after", "rival"]
 
 MOST_SAMPLES: Final = 20_000

@@ -9,15 +9,12 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
 from sgms_mhe.diagnosis import Traces
 from sgms_mhe.report.units import axis_units
 from sgms_mhe.signals.noise import position_noise
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array
 
 POINTS: Final = 3000  # of a cloud
 BINS: Final = 60

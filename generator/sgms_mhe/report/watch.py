@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe import __version__
 from sgms_mhe.evaluation.watching import WORDS, RunSummary, flags_of, status_words
@@ -16,9 +15,8 @@ from sgms_mhe.report.pieces import tile
 from sgms_mhe.report.plots import line, uniform
 from sgms_mhe.report.units import axis_units, force, plain, quantity, scaled_unit, split_name
 from sgms_mhe.report.words import base_words, capital, relative_change
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.numbers import SIGMAS
-
-Array = NDArray[np.float64]
 
 RELOAD_S: Final = 2
 """Between two readings of the page while the run goes on [s]."""

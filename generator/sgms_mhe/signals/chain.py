@@ -12,15 +12,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log, check_rate
 from sgms_mhe.signals.noise import find_jumps
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Index, Mask
 
 SETTLE_TOLERANCE = 0.01
 """The chain has settled when the step response of both low-passes stays within this fraction."""
@@ -58,7 +55,7 @@ class Signals:
     def __len__(self) -> int:
         return len(self.time)
 
-    def part(self, which: slice | NDArray[np.int64]) -> Signals:
+    def part(self, which: slice | Index) -> Signals:
         """Some of the samples, with the delay of all of them."""
         parts: dict[str, Any] = {name: a[which] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
         return replace(self, **parts)
@@ -179,7 +176,7 @@ class Chain:
         """`apply_chain`, piece by piece."""
         return self._start_at_rest(name, self._delay(name, series, float(series[0])))
 
-    def _samples_since(self, missing: Mask) -> NDArray[np.int64]:
+    def _samples_since(self, missing: Mask) -> Index:
         """Samples since the last one that was missing, in this piece or before it."""
         since = _samples_since(missing)
         if self._since != _NEVER:
@@ -297,13 +294,13 @@ def _bridge(log: Log) -> Log:
     return replace(log, **filled)
 
 
-def _cubic(at: NDArray[np.int64], good: NDArray[np.int64], values: Array) -> Array:
+def _cubic(at: Index, good: Index, values: Array) -> Array:
     """Values between measurements that keep the speeds on both sides, each over the two samples next to the gap."""
     left = np.searchsorted(good, at) - 1
     right = left + 1
     width = (good[right] - good[left]).astype(np.float64)
 
-    def slope(first: NDArray[np.int64]) -> Array:
+    def slope(first: Index) -> Array:
         first = np.clip(first, 0, len(good) - 2)
         return np.asarray((values[first + 1] - values[first]) / (good[first + 1] - good[first]))
 
@@ -347,7 +344,7 @@ def _delay(signal: Array, first: float) -> Array:
     return np.concatenate(([first], signal[:-1]))
 
 
-def _samples_since(mask: Mask) -> NDArray[np.int64]:
+def _samples_since(mask: Mask) -> Index:
     """Samples since the last true entry of mask: 0 at a true entry, the largest integer before the first one."""
     index = np.arange(len(mask))
     last = np.maximum.accumulate(np.where(mask, index, -1))

@@ -8,17 +8,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.signals.logs import write_columns
+from sgms_mhe.support.arrays import AnyArray, Array, Index
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 from sgms_mhe.support.numbers import SIGMAS, interval
-
-Array = NDArray[np.float64]
-
 
 READING_COLUMNS: Final = ("innovation_N", "test_ratio", "noise_scale")
 """Of the newest measurement; files that were written without them read as NaN."""
@@ -42,19 +39,19 @@ class Estimates(Shown):
     z_m: Array
     parameters: Array
     std: Array
-    status: NDArray[np.int64]
+    status: Index
     innovation_N: Array
     test_ratio: Array
     noise_scale: Array
     parameter_names: tuple[str, ...]
     kind: Kind = "linear"
-    extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    extra: Mapping[str, AnyArray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     @property
-    def columns(self) -> dict[str, NDArray[Any]]:
+    def columns(self) -> dict[str, AnyArray]:
         """Columns (u,) of the estimates' file, as this kind of axis names them."""
         names = self.parameter_names
         columns = {name: getattr(self, name) for name in ("time_s", "friction_measured_N", "friction_N")}

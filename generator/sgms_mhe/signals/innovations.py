@@ -7,13 +7,10 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, has_measurement
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Mask
 
 MOST_RATIO: Final = 25.0
 """Test ratio that a measurement counts with at the most: beyond, it is a fault."""

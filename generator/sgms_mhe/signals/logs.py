@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.machine import OF_KIND, QUANTITIES, Kind, Machine, Units, log_line
+from sgms_mhe.support.arrays import AnyArray, Array
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
-
-Array = NDArray[np.float64]
 
 COLUMNS: Final = tuple(quantity.column for quantity in QUANTITIES["linear"])
 """Every column of a log, the required ones first."""
@@ -158,7 +156,7 @@ def write_log(path: str | Path, log: Log) -> None:
         write_columns(path, columns)
 
 
-def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> None:
+def write_columns(path: str | Path, columns: Mapping[str, AnyArray]) -> None:
     """Write named columns (n,) as CSV, atomically; floats by shortest round-trip, integers as integers."""
     block = 65536
     with atomic_write(path) as stream:

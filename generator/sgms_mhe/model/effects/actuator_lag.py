@@ -10,8 +10,9 @@ from scipy.signal import lfilter
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, MotionRecord
 from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, no_shorter, shortest_lag, time_apart
-from sgms_mhe.model.effects.search import Array, Columns, Values
+from sgms_mhe.model.effects.search import Columns, Values
 from sgms_mhe.model.effects.specimen import Specimen
+from sgms_mhe.support.arrays import Array
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:

@@ -10,9 +10,10 @@ import numpy as np
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need
 from sgms_mhe.model.effects.parameters import step_by_factor
-from sgms_mhe.model.effects.search import Array, Trials, Values
+from sgms_mhe.model.effects.search import Trials, Values
 from sgms_mhe.model.effects.specimen import one_number
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
+from sgms_mhe.support.arrays import Array
 
 _EDGE, _SHARPNESS = 0.9, 35.0
 # b settles beyond 1 by a logarithm of the way, but contact is there from 0.93 on: so much that gaps of 1/40 of the

@@ -12,8 +12,9 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
-from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
+from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import TIME_CONSTANT, Specimen
+from sgms_mhe.support.arrays import Array
 
 SLOWEST: Final = 20.0
 """Largest time constant that a record tells, over its length: a slower drift is a line in time."""

@@ -8,9 +8,10 @@ import casadi as ca
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Simpler
-from sgms_mhe.model.effects.search import Array, Columns, Values
+from sgms_mhe.model.effects.search import Columns, Values
 from sgms_mhe.model.effects.specimen import one_number
 from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
+from sgms_mhe.support.arrays import Array
 
 _LEAST = 0.5
 

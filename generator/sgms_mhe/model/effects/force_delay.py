@@ -14,8 +14,9 @@ import numpy as np
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, no_shorter, shortest_lag, time_apart
-from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
+from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Specimen
+from sgms_mhe.support.arrays import Array
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:

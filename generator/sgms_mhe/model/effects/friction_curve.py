@@ -20,7 +20,8 @@ from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation
 from sgms_mhe.model.effects.definition import Fault, Value
 from sgms_mhe.model.effects.motion import direction, shift_to_sample
 from sgms_mhe.model.effects.scales import Scales
-from sgms_mhe.model.effects.search import Array, CurveColumns, Values
+from sgms_mhe.model.effects.search import CurveColumns, Values
+from sgms_mhe.support.arrays import Array
 
 Number = TypeVar("Number", ca.SX, Array)
 KNOTS: Final = 8

@@ -8,9 +8,10 @@ from scipy.linalg.blas import dtbsv
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Extents, MotionRecord, Need, Simpler
-from sgms_mhe.model.effects.search import Array, Columns, Values
+from sgms_mhe.model.effects.search import Columns, Values
 from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
+from sgms_mhe.support.arrays import Array
 
 # Below this level [N] the state's rate would be infinite.
 _LEAST_LEVEL = 1e-6

@@ -17,8 +17,9 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.definition import Fault, Value
 from sgms_mhe.model.effects.search import Unsearched, Values
-from sgms_mhe.model.effects.spline_table import DEGREE, Array, GridPlace, spline_sum, spline_table
+from sgms_mhe.model.effects.spline_table import DEGREE, GridPlace, spline_sum, spline_table
 from sgms_mhe.model.effects.states import EffectState, share_effect_state
+from sgms_mhe.support.arrays import Array
 
 Over = Literal["place", "speed", "travel"]
 

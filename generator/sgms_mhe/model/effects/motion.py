@@ -7,9 +7,9 @@ from typing import TypeVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
+
 Signal = TypeVar("Signal", ca.SX, Array)
 
 PERIODS_TOLD = 1.5

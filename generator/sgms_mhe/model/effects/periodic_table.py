@@ -16,7 +16,8 @@ from typing import Final
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.model.effects.spline_table import TAPS, Array, spline_pieces
+from sgms_mhe.model.effects.spline_table import TAPS, spline_pieces
+from sgms_mhe.support.arrays import Array
 
 POINTS: Final = 32
 """Points per shortest period: a sine of that period is right to 4e-6 of its amplitude, (2 pi / POINTS)^4 / 384."""

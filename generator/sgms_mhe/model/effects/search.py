@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.support.arrays import Array, Complex
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Values = Mapping[str, float]
 Grid = Callable[[MotionRecord], Sequence[Values]]
 """Trial values of what an effect is not linear in, from the record that is searched."""

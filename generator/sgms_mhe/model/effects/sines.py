@@ -9,7 +9,8 @@ import casadi as ca
 
 from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter, step_of_angle, step_of_pitch
-from sgms_mhe.model.effects.search import Array, Harmonic, ones
+from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.support.arrays import Array
 
 
 def pitch(default: float, scale: float) -> EffectParameter:

@@ -10,7 +10,8 @@ from typing import Final, Literal
 from numpy.random import Generator
 
 from sgms_mhe.model.effects.scales import Scales
-from sgms_mhe.model.effects.search import Array, Values
+from sgms_mhe.model.effects.search import Values
+from sgms_mhe.support.arrays import Array
 
 Logged = Callable[[Array, float, Values], Array]
 Concealing = Literal["presliding", "one_way"]

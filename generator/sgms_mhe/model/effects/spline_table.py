@@ -17,9 +17,8 @@ from typing import Final, Self
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 DEGREE: Final = 3
 TAPS: Final = DEGREE + 1

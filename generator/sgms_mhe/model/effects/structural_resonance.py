@@ -10,9 +10,10 @@ from scipy.signal import lfilter
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need
 from sgms_mhe.model.effects.parameters import step_by_factor, step_of_share
-from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
+from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
+from sgms_mhe.support.arrays import Array
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:

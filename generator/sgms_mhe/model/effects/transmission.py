@@ -6,7 +6,7 @@ import numpy as np
 
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord, direction
-from sgms_mhe.model.effects.search import Array
+from sgms_mhe.support.arrays import Array
 
 LOADED = (Need("load_ratio", 1.0), Need("both_directions", 0.1), Need("moving_s", 0.3))
 """What loads a drive needs to carry for its losses to be seen: about as much as its own friction."""
