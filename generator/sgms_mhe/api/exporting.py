@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
 from sgms_mhe.api.axis_fmu import write_fmu
@@ -18,13 +17,11 @@ from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.names import did_you_mean
 from sgms_mhe.support.notebooks import Presentation, Shown
 
-FORMS: Final[Mapping[str, Form]] = MappingProxyType(
-    {
-        **TEXT_FORMS,
-        "fmu2": Form((".fmu",), lambda machine, _: write_fmu(machine, 2)),
-        "fmu3": Form((".fmu",), lambda machine, _: write_fmu(machine, 3)),
-    }
-)
+FORMS: Final[Mapping[str, Form]] = {
+    **TEXT_FORMS,
+    "fmu2": Form((".fmu",), lambda machine, _: write_fmu(machine, 2)),
+    "fmu3": Form((".fmu",), lambda machine, _: write_fmu(machine, 3)),
+}
 """Forms by name."""
 
 

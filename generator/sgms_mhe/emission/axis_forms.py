@@ -7,7 +7,6 @@ import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from types import MappingProxyType
 from typing import Any, Final
 
 from sgms_mhe import __version__
@@ -44,20 +43,18 @@ class AxisNumber:
 
 STRIBECK: Final = "Stribeck effect"
 MICRO_VISCOUS: Final = "micro-viscous damping"
-_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "stiffness": "stiffness of element {}",
-        "fraction": "share of the Coulomb level that element {} carries; all sum to 1",
-        "micro_viscous": "damping of element {}",
-        "coulomb": "Coulomb level",
-        "viscous": "viscous damping",
-        "stribeck_ratio": "friction near standstill over the Coulomb level, minus one",
-        "stribeck_velocity": "velocity at which that has fallen to 1/e",
-        "zeta": "deflection ratio at which slip sets in",
-        "lambda": "sharpness of the slip window",
-        "gamma": "sharpness of the direction gate",
-    }
-)
+_TEXTS: Final[Mapping[str, str]] = {
+    "stiffness": "stiffness of element {}",
+    "fraction": "share of the Coulomb level that element {} carries; all sum to 1",
+    "micro_viscous": "damping of element {}",
+    "coulomb": "Coulomb level",
+    "viscous": "viscous damping",
+    "stribeck_ratio": "friction near standstill over the Coulomb level, minus one",
+    "stribeck_velocity": "velocity at which that has fallen to 1/e",
+    "zeta": "deflection ratio at which slip sets in",
+    "lambda": "sharpness of the slip window",
+    "gamma": "sharpness of the direction gate",
+}
 
 
 def axis_numbers(machine: Machine) -> tuple[AxisNumber, ...]:
@@ -162,9 +159,7 @@ def _write_simple(machine: Machine, title: str, form: str, template: str, level:
     return _render(machine, template, title, written, simple=simple, solver=solver, step=machine.sampling.step)
 
 
-_SIGNALS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {"modelica": SIGNAL_NAMES, "simscape": ("q", "v", "a", "u", "t")}
-)
+_SIGNALS: Final[Mapping[str, tuple[str, ...]]] = {"modelica": SIGNAL_NAMES, "simscape": ("q", "v", "a", "u", "t")}
 
 
 def _write_equations(machine: Machine, title: str, form: str, template: str, language: Language) -> WrittenAxis:
@@ -210,16 +205,14 @@ class Form:
     write: Writer = field(repr=False)
 
 
-TEXT_FORMS: Final[Mapping[str, Form]] = MappingProxyType(
-    {
-        "mujoco": Form((".xml", ".mjcf"), partial(_write_simple, form="mujoco", template="mujoco.xml", level=_CREEP)),
-        "urdf": Form((".urdf", ".xml"), partial(_write_simple, form="urdf", template="urdf.xml", level=_SIGN)),
-        "modelica": Form((".mo",), partial(_write_equations, form="modelica", template="axis.mo", language=MODELICA)),
-        "simscape": Form((".ssc",), partial(_write_equations, form="simscape", template="axis.ssc", language=SIMSCAPE)),
-        "csv": Form((".csv",), partial(_write_numbers, form="csv", template="numbers.csv")),
-        "matlab": Form((".m",), partial(_write_numbers, form="matlab", template="numbers.m")),
-    }
-)
+TEXT_FORMS: Final[Mapping[str, Form]] = {
+    "mujoco": Form((".xml", ".mjcf"), partial(_write_simple, form="mujoco", template="mujoco.xml", level=_CREEP)),
+    "urdf": Form((".urdf", ".xml"), partial(_write_simple, form="urdf", template="urdf.xml", level=_SIGN)),
+    "modelica": Form((".mo",), partial(_write_equations, form="modelica", template="axis.mo", language=MODELICA)),
+    "simscape": Form((".ssc",), partial(_write_equations, form="simscape", template="axis.ssc", language=SIMSCAPE)),
+    "csv": Form((".csv",), partial(_write_numbers, form="csv", template="numbers.csv")),
+    "matlab": Form((".m",), partial(_write_numbers, form="matlab", template="numbers.m")),
+}
 """Forms of text by the name of the simulator, or of the format."""
 
 _IDENTIFIER: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")

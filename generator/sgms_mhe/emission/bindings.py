@@ -10,7 +10,6 @@ import zipfile
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final, Literal
 
 from sgms_mhe.emission.context import PackageView
@@ -19,21 +18,19 @@ from sgms_mhe.support.errors import BuildError, InputError
 from sgms_mhe.support.names import did_you_mean
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
 
-BINDINGS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
-    {
-        "python": {"{name}.py": "bindings/python.py"},
-        "cpp": {"{name}.hpp": "bindings/cpp.hpp"},
-        "fmu2": {
-            "{name}_fmi2.fmu/modelDescription.xml": "bindings/fmi2.xml",
-            "{name}_fmi2.fmu/sources/{name}_fmi2.c": "bindings/fmi2.c",
-        },
-        "fmu3": {
-            "{name}_fmi3.fmu/modelDescription.xml": "bindings/fmi3.xml",
-            "{name}_fmi3.fmu/sources/buildDescription.xml": "bindings/fmi3_build.xml",
-            "{name}_fmi3.fmu/sources/{name}_fmi3.c": "bindings/fmi3.c",
-        },
-    }
-)
+BINDINGS: Final[Mapping[str, Mapping[str, str]]] = {
+    "python": {"{name}.py": "bindings/python.py"},
+    "cpp": {"{name}.hpp": "bindings/cpp.hpp"},
+    "fmu2": {
+        "{name}_fmi2.fmu/modelDescription.xml": "bindings/fmi2.xml",
+        "{name}_fmi2.fmu/sources/{name}_fmi2.c": "bindings/fmi2.c",
+    },
+    "fmu3": {
+        "{name}_fmi3.fmu/modelDescription.xml": "bindings/fmi3.xml",
+        "{name}_fmi3.fmu/sources/buildDescription.xml": "bindings/fmi3_build.xml",
+        "{name}_fmi3.fmu/sources/{name}_fmi3.c": "bindings/fmi3.c",
+    },
+}
 """Templates by file, by the name of the binding; files below one that ends in `.fmu` are those of that archive."""
 _NEVER_RUN: Final = ("iec", "simulink")
 """Bindings of earlier versions, which were not run in the tools that they were for."""
@@ -69,17 +66,15 @@ def bindings_among(files: Collection[str], machine: str) -> tuple[str, ...]:
 Causality = Literal["input", "output", "parameter"]
 Kind = Literal["Real", "Integer", "Boolean"]
 
-_BASE_UNITS: Final[Mapping[str, Mapping[str, int]]] = MappingProxyType(
-    {
-        "N": {"kg": 1, "m": 1, "s": -2},
-        "kg": {"kg": 1},
-        "m": {"m": 1},
-        "rad": {"rad": 1},
-        "s": {"s": 1},
-        "Hz": {"s": -1},
-        "": {},  # of 1
-    }
-)
+_BASE_UNITS: Final[Mapping[str, Mapping[str, int]]] = {
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "kg": {"kg": 1},
+    "m": {"m": 1},
+    "rad": {"rad": 1},
+    "s": {"s": 1},
+    "Hz": {"s": -1},
+    "": {},  # of 1
+}
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
@@ -76,9 +75,15 @@ def variant_of(model: Model) -> Variant:
     )
 
 
-REFUSALS: Final[Mapping[str, int]] = MappingProxyType(
-    {"early": -1, "numeric": -2, "overlap": -3, "mismatch": -4, "refused": -5, "arithmetic": -6, "unstarted": -7}
-)
+REFUSALS: Final[Mapping[str, int]] = {
+    "early": -1,
+    "numeric": -2,
+    "overlap": -3,
+    "mismatch": -4,
+    "refused": -5,
+    "arithmetic": -6,
+    "unstarted": -7,
+}
 """Statuses by which a call is refused."""
 
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
 from sgms_mhe.support.errors import BuildError
@@ -52,36 +51,34 @@ class Target:
         return f"the Debian packages {self.packages} bring what the target takes"
 
 
-TARGETS: Final[Mapping[str, Target]] = MappingProxyType(
-    {
-        target.name: target
-        for target in (
-            Target(
-                name="cortex_m7",
-                title="Arm Cortex-M7 (QEMU mps2-an500)",
-                prefix="arm-none-eabi-",
-                # The emulated FPU has both precisions, as some parts have; code for the smaller one runs on all.
-                flags=("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard"),
-                # 512 ns per instruction, and a timer of 25 MHz.
-                emulator=("qemu-system-arm", "-machine", "mps2-an500", "-icount", "shift=9"),
-                ticks=12.8,
-                packages="gcc-arm-none-eabi and qemu-system-arm",
-                double=r"v\w+\.(?:\w+\.)*f64\b.*",
-            ),
-            Target(
-                name="riscv32",
-                title="RISC-V RV32IMAFC (QEMU virt)",
-                prefix="riscv64-unknown-elf-",
-                flags=("-march=rv32imafc", "-mabi=ilp32f"),
-                # minstret counts nanoseconds of emulated time: here, instructions.
-                emulator=("qemu-system-riscv32", "-machine", "virt", "-bios", "none", "-icount", "shift=0"),
-                ticks=1.0,
-                packages="gcc-riscv64-unknown-elf and qemu-system-misc",
-                double=r"(?:c\.)?f(?:ld|sd|\w*(?:\.\w+)*\.d(?:\.\w+)*)(?:sp)?",
-            ),
-        )
-    }
-)
+TARGETS: Final[Mapping[str, Target]] = {
+    target.name: target
+    for target in (
+        Target(
+            name="cortex_m7",
+            title="Arm Cortex-M7 (QEMU mps2-an500)",
+            prefix="arm-none-eabi-",
+            # The emulated FPU has both precisions, as some parts have; code for the smaller one runs on all.
+            flags=("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard"),
+            # 512 ns per instruction, and a timer of 25 MHz.
+            emulator=("qemu-system-arm", "-machine", "mps2-an500", "-icount", "shift=9"),
+            ticks=12.8,
+            packages="gcc-arm-none-eabi and qemu-system-arm",
+            double=r"v\w+\.(?:\w+\.)*f64\b.*",
+        ),
+        Target(
+            name="riscv32",
+            title="RISC-V RV32IMAFC (QEMU virt)",
+            prefix="riscv64-unknown-elf-",
+            flags=("-march=rv32imafc", "-mabi=ilp32f"),
+            # minstret counts nanoseconds of emulated time: here, instructions.
+            emulator=("qemu-system-riscv32", "-machine", "virt", "-bios", "none", "-icount", "shift=0"),
+            ticks=1.0,
+            packages="gcc-riscv64-unknown-elf and qemu-system-misc",
+            double=r"(?:c\.)?f(?:ld|sd|\w*(?:\.\w+)*\.d(?:\.\w+)*)(?:sp)?",
+        ),
+    )
+}
 """Targets by name."""
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -30,17 +29,15 @@ from sgms_mhe.signals.logs import JITTER, Log, advise_time_unit, check_rate
 from sgms_mhe.support.arrays import AnyArray, Array
 from sgms_mhe.support.errors import InputError
 
-READERS: Final[Mapping[str, Callable[[Path], Table]]] = MappingProxyType(
-    {
-        ".mat": read_mat,
-        ".npz": read_numpy,
-        ".npy": read_numpy,
-        **dict.fromkeys((".h5", ".hdf5", ".hdf"), read_hdf5),
-        **dict.fromkeys((".parquet", ".pq"), read_parquet),
-        **dict.fromkeys((".feather", ".arrow"), read_feather),
-        **dict.fromkeys((".mf4", ".mdf"), read_mdf),
-    }
-)
+READERS: Final[Mapping[str, Callable[[Path], Table]]] = {
+    ".mat": read_mat,
+    ".npz": read_numpy,
+    ".npy": read_numpy,
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), read_hdf5),
+    **dict.fromkeys((".parquet", ".pq"), read_parquet),
+    **dict.fromkeys((".feather", ".arrow"), read_feather),
+    **dict.fromkeys((".mf4", ".mdf"), read_mdf),
+}
 """Reader of each format that is no text, by the suffix of the file's name, in lower case."""
 
 MOST_REPEATED: Final = 0.01

@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Final, Literal
 
 from sgms_mhe.machine.units import Kind
@@ -74,33 +73,31 @@ _TEMPERATURE: Final = Quantity(
 _SLOW_LENGTHS: Final = {"m/min": (1.0 / 60.0, 0.0), "mm/min": (1e-3 / 60.0, 0.0)}
 _SLOW_ANGLES: Final = {"rpm": (_TURN / 60.0, 0.0)}
 
-QUANTITIES: Final[Mapping[Kind, tuple[Quantity, ...]]] = MappingProxyType(
-    {
-        "linear": (
-            _TIME,
-            Quantity("position", "position_m", "m", _LENGTHS, 1.0),
-            Quantity("force", "force_N", "N", _FORCES, recorded=RECORDED),
-            Quantity("velocity", "velocity_m_s", "m/s", _over(_LENGTHS, "s") | _SLOW_LENGTHS, 1.0),
-            Quantity("acceleration", "acceleration_m_s2", "m/s^2", _over(_LENGTHS, "s^2") | {"g": (9.80665, 0.0)}),
-            Quantity("friction", "friction_N", "N", _FORCES, recorded=RECORDED),
-            _TEMPERATURE,
-        ),
-        "rotary": (
-            _TIME,
-            Quantity("position", "position_rad", "rad", _ANGLES, _TURN),
-            Quantity("force", "torque_Nm", "N m", _TORQUES, recorded=RECORDED),
-            Quantity("velocity", "velocity_rad_s", "rad/s", _over(_ANGLES, "s") | _SLOW_ANGLES, _TURN),
-            Quantity("acceleration", "acceleration_rad_s2", "rad/s^2", _over(_ANGLES, "s^2")),
-            Quantity("friction", "friction_Nm", "N m", _TORQUES, recorded=RECORDED),
-            _TEMPERATURE,
-        ),
-    }
-)
+QUANTITIES: Final[Mapping[Kind, tuple[Quantity, ...]]] = {
+    "linear": (
+        _TIME,
+        Quantity("position", "position_m", "m", _LENGTHS, 1.0),
+        Quantity("force", "force_N", "N", _FORCES, recorded=RECORDED),
+        Quantity("velocity", "velocity_m_s", "m/s", _over(_LENGTHS, "s") | _SLOW_LENGTHS, 1.0),
+        Quantity("acceleration", "acceleration_m_s2", "m/s^2", _over(_LENGTHS, "s^2") | {"g": (9.80665, 0.0)}),
+        Quantity("friction", "friction_N", "N", _FORCES, recorded=RECORDED),
+        _TEMPERATURE,
+    ),
+    "rotary": (
+        _TIME,
+        Quantity("position", "position_rad", "rad", _ANGLES, _TURN),
+        Quantity("force", "torque_Nm", "N m", _TORQUES, recorded=RECORDED),
+        Quantity("velocity", "velocity_rad_s", "rad/s", _over(_ANGLES, "s") | _SLOW_ANGLES, _TURN),
+        Quantity("acceleration", "acceleration_rad_s2", "rad/s^2", _over(_ANGLES, "s^2")),
+        Quantity("friction", "friction_Nm", "N m", _TORQUES, recorded=RECORDED),
+        _TEMPERATURE,
+    ),
+}
 """Quantities of a log by the kind of the axis, the required ones first."""
 
-BY_COLUMN: Final[Mapping[str, Quantity]] = MappingProxyType(
-    {quantity.column: quantity for quantities in QUANTITIES.values() for quantity in quantities}
-)
+BY_COLUMN: Final[Mapping[str, Quantity]] = {
+    quantity.column: quantity for quantities in QUANTITIES.values() for quantity in quantities
+}
 """Every quantity of either kind by its column."""
 
 _SIGNS: Final = (("µ", "u"), ("μ", "u"), ("²", "^2"), ("**", "^"), ("°C", "degC"), ("°F", "degF"), ("°", "deg"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
@@ -32,13 +31,11 @@ SMALLEST_CUTOFF: Final = 1e-4  # of rate: below it the low-pass coefficients los
 
 REMOVED_SCHEMES: Final = ("rk2", "bs23", "euler")
 REMOVED_SCHEME: Final = "rk4 or flow: rk2, bs23 and euler, which take more work for the same accuracy, are no more"
-REMOVED_KEYS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "velocity": "no such key any more: the velocity is constant from sample to sample, or a line through merged "
-        "samples where substeps < rate / update_rate",
-        "tolerance": "no such key any more: displacement and slow_displacement bound the steps of flow and rk4",
-    }
-)
+REMOVED_KEYS: Final[Mapping[str, str]] = {
+    "velocity": "no such key any more: the velocity is constant from sample to sample, or a line through merged "
+    "samples where substeps < rate / update_rate",
+    "tolerance": "no such key any more: displacement and slow_displacement bound the steps of flow and rk4",
+}
 """What takes the place of keys and schemes that earlier versions had; docs/rejected.md has the reasons."""
 
 

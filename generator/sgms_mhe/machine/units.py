@@ -9,51 +9,44 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final, Literal
 
 Kind = Literal["linear", "rotary"]
 """Kinds of axis."""
 
-UNITS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "_Nm_s2_rad2": "N m s²/rad²",
-        "_Nm_s_rad": "N m s/rad",
-        "_Nm_rad": "N m/rad",
-        "_rad_s2": "rad/s²",
-        "_rad_s": "rad/s",
-        "_kg_m2": "kg m²",
-        "_Nm": "N m",
-        "_N_s2_m2": "N s²/m²",
-        "_N_s_m": "N s/m",
-        "_N_m": "N/m",
-        "_m_s2": "m/s²",
-        "_m_s": "m/s",
-        "_kg": "kg",
-        "_Hz": "Hz",
-        "_rad": "rad",
-        "_N": "N",
-        "_m": "m",
-        "_s": "s",
-    }
-)
+UNITS: Final[Mapping[str, str]] = {
+    "_Nm_s2_rad2": "N m s²/rad²",
+    "_Nm_s_rad": "N m s/rad",
+    "_Nm_rad": "N m/rad",
+    "_rad_s2": "rad/s²",
+    "_rad_s": "rad/s",
+    "_kg_m2": "kg m²",
+    "_Nm": "N m",
+    "_N_s2_m2": "N s²/m²",
+    "_N_s_m": "N s/m",
+    "_N_m": "N/m",
+    "_m_s2": "m/s²",
+    "_m_s": "m/s",
+    "_kg": "kg",
+    "_Hz": "Hz",
+    "_rad": "rad",
+    "_N": "N",
+    "_m": "m",
+    "_s": "s",
+}
 """Unit by the end of a name; the first that fits counts."""
 
-_ROTARY_ENDS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "_N_s2_m2": "_Nm_s2_rad2",
-        "_N_s_m": "_Nm_s_rad",
-        "_N_m": "_Nm_rad",
-        "_m_s2": "_rad_s2",
-        "_m_s": "_rad_s",
-        "_kg": "_kg_m2",
-        "_N": "_Nm",
-        "_m": "_rad",
-    }
-)
-_ROTARY_NAMES: Final[Mapping[str, str]] = MappingProxyType(
-    {"force_N": "torque_Nm", "mass_kg": "inertia_kg_m2", "mass": "inertia"}
-)
+_ROTARY_ENDS: Final[Mapping[str, str]] = {
+    "_N_s2_m2": "_Nm_s2_rad2",
+    "_N_s_m": "_Nm_s_rad",
+    "_N_m": "_Nm_rad",
+    "_m_s2": "_rad_s2",
+    "_m_s": "_rad_s",
+    "_kg": "_kg_m2",
+    "_N": "_Nm",
+    "_m": "_rad",
+}
+_ROTARY_NAMES: Final[Mapping[str, str]] = {"force_N": "torque_Nm", "mass_kg": "inertia_kg_m2", "mass": "inertia"}
 """Names of which more than the unit differs."""
 
 CATALOGUE_ENDS: Final = tuple(end for end in UNITS if end == "_rad" or end not in _ROTARY_ENDS.values())
@@ -163,5 +156,5 @@ ROTARY: Final = Units(
     metres="radians",
     pico="prad",
 )
-OF_KIND: Final[Mapping[Kind, Units]] = MappingProxyType({"linear": LINEAR, "rotary": ROTARY})
+OF_KIND: Final[Mapping[Kind, Units]] = {"linear": LINEAR, "rotary": ROTARY}
 """Units by the kind of the axis."""

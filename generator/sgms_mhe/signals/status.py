@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-FLAGS: Final[Mapping[str, int]] = MappingProxyType(
-    {"filling": 1, "missing": 2, "hold": 4, "bound": 8, "speed": 16, "overrun": 32, "doubt": 64}
-)
+FLAGS: Final[Mapping[str, int]] = {
+    "filling": 1,
+    "missing": 2,
+    "hold": 4,
+    "bound": 8,
+    "speed": 16,
+    "overrun": 32,
+    "doubt": 64,
+}
 """Flags of an update's status that is not negative; 0 is good."""
 
 STALE: Final = 128

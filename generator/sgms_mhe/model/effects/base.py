@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -150,108 +149,104 @@ def _stribeck(scene: Scene, size: float) -> Mapping[str, float] | None:
     return {"stribeck_ratio": 1.0 + size / scene.numbers["stribeck_ratio"]}
 
 
-BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
-    {
-        cause.name: cause
-        for cause in (
-            BaseCause(
-                name="stiffness",
-                summary="presliding stiffness differs from the machine file",
-                numbers=(BaseNumber("stiffness", "stiffness", "_N_m", array=True),),
-                start_factors=(0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8),
-                factors=_stiffness,
-                moves=("loops", "places"),
-                excitation=Excitation(
-                    "reversals, and loops that stay below break-away; an element shows only where it turns round",
-                    (Need("reversals", 4.0),),
-                ),
-                confused_with={
-                    "hose_hysteresis": "small loops at places far apart: both hystereses are there, but the hose's "
-                    "alone goes on rising over travels far beyond break-away",
-                    "micro_viscous": "the same presliding loop at two speeds: a spring does not know speed",
-                    "backlash": "one slow reversal: a gap has no force at all, a soft element a low slope",
-                },
+BASE_CAUSES: Final[Mapping[str, BaseCause]] = {
+    cause.name: cause
+    for cause in (
+        BaseCause(
+            name="stiffness",
+            summary="presliding stiffness differs from the machine file",
+            numbers=(BaseNumber("stiffness", "stiffness", "_N_m", array=True),),
+            start_factors=(0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8),
+            factors=_stiffness,
+            moves=("loops", "places"),
+            excitation=Excitation(
+                "reversals, and loops that stay below break-away; an element shows only where it turns round",
+                (Need("reversals", 4.0),),
             ),
-            BaseCause(
-                name="fraction",
-                summary="shares of the Coulomb level that elements carry differ from the machine file",
-                numbers=(FRACTION,),
-                factors=_fraction,
-                moves=("loops", "places"),
-                excitation=Excitation(
-                    "reversals, and loops below and beyond each element's break-away", (Need("reversals", 4.0),)
-                ),
-                confused_with={
-                    "stiffness": "loops well below break-away: there the stiffnesses alone count, beyond it the shares",
-                    "hose_hysteresis": "small loops at places far apart: both hystereses are there, but the hose's "
-                    "alone goes on rising over travels far beyond break-away",
-                },
+            confused_with={
+                "hose_hysteresis": "small loops at places far apart: both hystereses are there, but the hose's "
+                "alone goes on rising over travels far beyond break-away",
+                "micro_viscous": "the same presliding loop at two speeds: a spring does not know speed",
+                "backlash": "one slow reversal: a gap has no force at all, a soft element a low slope",
+            },
+        ),
+        BaseCause(
+            name="fraction",
+            summary="shares of the Coulomb level that elements carry differ from the machine file",
+            numbers=(FRACTION,),
+            factors=_fraction,
+            moves=("loops", "places"),
+            excitation=Excitation(
+                "reversals, and loops below and beyond each element's break-away", (Need("reversals", 4.0),)
             ),
-            BaseCause(
-                name="coulomb",
-                summary="Coulomb level differs from the machine file",
-                numbers=(BaseNumber("coulomb", "Coulomb friction", "_N"),),
-                factors=_coulomb,
-                of_record=True,  # temperature changes it
-                over_speed=True,
-                moves=("speeds", "again"),
-                excitation=Excitation(
-                    "sliding in both directions", (Need("both_directions", 0.1), Need("reversals", 1.0))
-                ),
-                confused_with={
-                    "force_gain": "one move with high acceleration: a gain scales the inertial force too",
-                    "friction_drift": "the same move at the beginning and at the end of the log",
-                    "constant_offset": "move in both directions: an offset does not change sign",
-                    "asymmetric_coulomb": "move in both directions: a wrong level is wrong the same way in either",
-                },
+            confused_with={
+                "stiffness": "loops well below break-away: there the stiffnesses alone count, beyond it the shares",
+                "hose_hysteresis": "small loops at places far apart: both hystereses are there, but the hose's "
+                "alone goes on rising over travels far beyond break-away",
+            },
+        ),
+        BaseCause(
+            name="coulomb",
+            summary="Coulomb level differs from the machine file",
+            numbers=(BaseNumber("coulomb", "Coulomb friction", "_N"),),
+            factors=_coulomb,
+            of_record=True,  # temperature changes it
+            over_speed=True,
+            moves=("speeds", "again"),
+            excitation=Excitation("sliding in both directions", (Need("both_directions", 0.1), Need("reversals", 1.0))),
+            confused_with={
+                "force_gain": "one move with high acceleration: a gain scales the inertial force too",
+                "friction_drift": "the same move at the beginning and at the end of the log",
+                "constant_offset": "move in both directions: an offset does not change sign",
+                "asymmetric_coulomb": "move in both directions: a wrong level is wrong the same way in either",
+            },
+        ),
+        BaseCause(
+            name="viscous",
+            summary="viscous friction differs from the machine file",
+            numbers=(BaseNumber("viscous", "viscous friction", "_N_s_m", lower=0.0, typical=0.1, unit="damping"),),
+            factors=_viscous,
+            of_record=True,  # temperature changes it
+            over_speed=True,
+            moves=("speeds", "again"),
+            excitation=Excitation(
+                "constant speeds that differ by a factor of three",
+                (Need("speed_ratio", 2.0), Need("moving_s", 0.5)),
             ),
-            BaseCause(
-                name="viscous",
-                summary="viscous friction differs from the machine file",
-                numbers=(BaseNumber("viscous", "viscous friction", "_N_s_m", lower=0.0, typical=0.1, unit="damping"),),
-                factors=_viscous,
-                of_record=True,  # temperature changes it
-                over_speed=True,
-                moves=("speeds", "again"),
-                excitation=Excitation(
-                    "constant speeds that differ by a factor of three",
-                    (Need("speed_ratio", 2.0), Need("moving_s", 0.5)),
+            confused_with={
+                "eddy_current_damping": "constant speeds up to twice the corner velocity: it falls off there",
+                "quadratic_drag": "three constant speeds or more: is the force over speed a line or a parabola",
+                "force_delay": "constant speed: a delay has no effect there",
+                "asymmetric_viscous": "both directions: a wrong damping is wrong the same way in either",
+            },
+        ),
+        BaseCause(
+            name="stribeck",
+            summary="rise of friction towards low speed differs from the machine file",
+            numbers=(
+                BaseNumber("stribeck_ratio", "stribeck ratio", lower=0.0, typical=0.1, most=lambda _: LARGEST_RISE),
+                BaseNumber(
+                    "stribeck_velocity",
+                    "stribeck velocity",
+                    "_m_s",
+                    most=lambda extents: FASTEST_STRIBECK * extents.speed,
                 ),
-                confused_with={
-                    "eddy_current_damping": "constant speeds up to twice the corner velocity: it falls off there",
-                    "quadratic_drag": "three constant speeds or more: is the force over speed a line or a parabola",
-                    "force_delay": "constant speed: a delay has no effect there",
-                    "asymmetric_viscous": "both directions: a wrong damping is wrong the same way in either",
-                },
             ),
-            BaseCause(
-                name="stribeck",
-                summary="rise of friction towards low speed differs from the machine file",
-                numbers=(
-                    BaseNumber("stribeck_ratio", "stribeck ratio", lower=0.0, typical=0.1, most=lambda _: LARGEST_RISE),
-                    BaseNumber(
-                        "stribeck_velocity",
-                        "stribeck velocity",
-                        "_m_s",
-                        most=lambda extents: FASTEST_STRIBECK * extents.speed,
-                    ),
-                ),
-                start_search=_RISE,
-                factors=_stribeck,
-                over_speed=True,
-                moves=("speeds", "rests"),
-                excitation=Excitation(
-                    "constant speeds from well below to well above the Stribeck velocity", (Need("speed_ratio", 10.0),)
-                ),
-                confused_with={
-                    "dwell_dependence": "break away after rests of different length, at the same speed",
-                    "frictional_lag": "pass through the Stribeck velocity with different accelerations",
-                    "eddy_current_damping": "speeds below the Stribeck velocity",
-                },
+            start_search=_RISE,
+            factors=_stribeck,
+            over_speed=True,
+            moves=("speeds", "rests"),
+            excitation=Excitation(
+                "constant speeds from well below to well above the Stribeck velocity", (Need("speed_ratio", 10.0),)
             ),
-        )
-    }
-)
+            confused_with={
+                "dwell_dependence": "break away after rests of different length, at the same speed",
+                "frictional_lag": "pass through the Stribeck velocity with different accelerations",
+                "eddy_current_damping": "speeds below the Stribeck velocity",
+            },
+        ),
+    )
+}
 """Wrong-number causes by name."""
 
 
