@@ -11,7 +11,7 @@ import numpy as np
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
-from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.effects.parameters import EffectParameter, shape
 from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import TIME_CONSTANT, Specimen
 from sgms_mhe.support.arrays import Array
@@ -24,15 +24,8 @@ def drift_parameters(level: str) -> tuple[EffectParameter, ...]:
     """Parameters of a drift of `level`."""
     return (
         EffectParameter("ratio", 0.0, 0.1, f"final change over the initial {level}", lower=-0.95),
-        EffectParameter(
-            "time_constant_s",
-            10.0,
-            1.0,
-            "time to 63 % of the change",
-            lower=1e-3,
-            role="shape",
-            step=step_by_factor,
-            most=lambda extents: SLOWEST * extents.end,
+        shape(
+            "time_constant_s", 10.0, 1.0, "time to 63 % of the change", 1e-3, most=lambda extents: SLOWEST * extents.end
         ),
     )
 

@@ -6,7 +6,7 @@ import casadi as ca
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Extents, MotionRecord, Need, Simpler
-from sgms_mhe.model.effects.parameters import step_by_factor
+from sgms_mhe.model.effects.parameters import shape
 from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import Derivative, Values
 from sgms_mhe.model.effects.specimen import Range, Specimen
@@ -35,6 +35,11 @@ def _trials(motion: MotionRecord) -> list[Values]:
     return [{"time_constant_s": time, "length_m": length} for length in lengths for time in (0.04, 0.12, 0.4, 1.2)]
 
 
+def _shortest_way(extents: Extents) -> float:
+    """At top speed a contact is renewed a hundred times in a row: a shorter way costs steps and tells nothing."""
+    return 0.01 * extents.speed / extents.rate
+
+
 def _rises(p: Values, _: Scales) -> bool:
     """A contact that rests grows stronger."""
     return p["ratio"] >= 0.0
@@ -50,21 +55,8 @@ DEFINITION = EffectDefinition(
     summary="break-away rises with the time at rest",
     parameters=(
         EffectParameter("ratio", 0.0, 0.1, "rise after a long rest over the level", lower=-0.95),
-        EffectParameter(
-            "time_constant_s", 1.0, 0.3, "time to 63 % of the rise", lower=1e-3, role="shape", step=step_by_factor
-        ),
-        EffectParameter(
-            "length_m",
-            1e-4,
-            1e-5,
-            "way that renews the contact",
-            lower=1e-8,
-            role="shape",
-            main=False,
-            step=step_by_factor,
-            # At top speed a contact is renewed a hundred times in a row: a shorter way costs steps and tells nothing.
-            least=lambda extents: 0.01 * extents.speed / extents.rate,
-        ),
+        shape("time_constant_s", 1.0, 0.3, "time to 63 % of the rise", 1e-3),
+        shape("length_m", 1e-4, 1e-5, "way that renews the contact", 1e-8, main=False, least=_shortest_way),
     ),
     contribute=_contribute,
     excitation=Excitation(

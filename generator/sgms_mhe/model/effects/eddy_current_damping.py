@@ -6,7 +6,7 @@ import numpy as np
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Extents, Need, Simpler
-from sgms_mhe.model.effects.parameters import step_by_factor
+from sgms_mhe.model.effects.parameters import shape
 from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Concealed, Range, Specimen
 
@@ -25,15 +25,7 @@ DEFINITION = EffectDefinition(
     summary="damping by eddy currents, falling off with speed",
     parameters=(
         EffectParameter("damping_N_s_m", 0.0, 0.5, "damping at low speed", lower=0.0, unit="damping"),
-        EffectParameter(
-            "corner_velocity_m_s",
-            0.5,
-            0.1,
-            "speed of the largest force",
-            lower=1e-6,
-            role="shape",
-            step=step_by_factor,
-        ),
+        shape("corner_velocity_m_s", 0.5, 0.1, "speed of the largest force", 1e-6),
     ),
     contribute=_contribute,
     over_speed=True,

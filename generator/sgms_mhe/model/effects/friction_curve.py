@@ -19,6 +19,7 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need, Simpler
 from sgms_mhe.model.effects.definition import Fault, Value
 from sgms_mhe.model.effects.motion import direction, shift_to_sample
+from sgms_mhe.model.effects.parameters import decided
 from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import CurveColumns, Values
 from sgms_mhe.support.arrays import Array
@@ -32,29 +33,10 @@ SLOW_ROWS: Final = 0.05
 """Share of the rows of a direction that are slower than the slowest knot, at least."""
 LEAST: Final = 1e-9  # m/s: a knot is no rest
 
-_SPEED: Final = EffectParameter(
-    "speed_m_s",
-    0.01,
-    0.01,
-    "speed at which the curve bends",
-    lower=LEAST,
-    role="place",
-    main=False,
-    frozen=True,
-    array=True,
-)
+_SPEED: Final = decided("speed_m_s", 0.01, 0.01, "speed at which the curve bends", LEAST, role="place", array=True)
 _FORWARD: Final = EffectParameter("forward_N", 0.0, 0.1, "friction added there, v > 0", unit="coulomb", array=True)
 _BACKWARD: Final = EffectParameter("backward_N", 0.0, 0.1, "friction added there, v < 0", unit="coulomb", array=True)
-_END: Final = EffectParameter(
-    "end_m_s",
-    1.0,
-    0.01,
-    "speed from which on nothing is added",
-    lower=LEAST,
-    role="place",
-    main=False,
-    frozen=True,
-)
+_END: Final = decided("end_m_s", 1.0, 0.01, "speed from which on nothing is added", LEAST, role="place")
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:

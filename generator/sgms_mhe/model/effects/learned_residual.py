@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Literal
 
 import casadi as ca
@@ -16,6 +17,7 @@ import numpy as np
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.definition import Fault, Value
+from sgms_mhe.model.effects.parameters import decided
 from sgms_mhe.model.effects.search import Unsearched, Values
 from sgms_mhe.model.effects.spline_table import DEGREE, GridPlace, spline_sum, spline_table
 from sgms_mhe.model.effects.states import EffectState, share_effect_state
@@ -49,30 +51,16 @@ class TableCoordinate:
     lag: float = 0.0
 
 
+_shape = partial(decided, role="shape")
+
+
 def _cells(over: Over) -> EffectParameter:
     description = f"cells of the grid over {over}; 0: not a coordinate"
     return _shape(f"{over}_cells", 0.0, 1.0, description, lower=0.0, upper=MOST_CELLS, whole=True)
 
 
-def _shape(
-    name: str,
-    default: float,
-    scale: float,
-    description: str,
-    *,
-    lower: float = -math.inf,
-    upper: float = math.inf,
-    whole: bool = False,
-) -> EffectParameter:
-    return EffectParameter(
-        name, default, scale, description, lower, upper, role="shape", main=False, frozen=True, whole=whole
-    )
-
-
-_FORCE: Final = EffectParameter(
-    "force_N", 0.0, 0.1, "coefficients of the splines, row by row: place before speed before travel", unit="coulomb",
-    array=True,
-)  # fmt: skip
+_ROWS: Final = "coefficients of the splines, row by row: place before speed before travel"
+_FORCE: Final = EffectParameter("force_N", 0.0, 0.1, _ROWS, unit="coulomb", array=True)
 
 
 def _grid(axis: SymbolicAxis, p: Expressions, nominal: Values) -> list[GridPlace]:

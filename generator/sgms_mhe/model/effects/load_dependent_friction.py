@@ -13,6 +13,7 @@ import casadi as ca
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, MotionRecord, Simpler
+from sgms_mhe.model.effects.parameters import decided
 from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Specimen
 from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
@@ -40,6 +41,11 @@ def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     axis.level_force = axis.level_force + added
 
 
+def _share(name: str, default: float, of: str) -> EffectParameter:
+    said = f"share of {of} that the teeth transmit: of what is behind them"
+    return decided(name, default, 1.0, said, 0.0, 1.0, role="shape")
+
+
 def _shares(_: MotionRecord) -> Sequence[Values]:
     """Where the mesh may be: behind all friction, first, or before a share of it and of the inertia."""
     return ({}, *(dict.fromkeys(SHARES, share) for share in TRIED))
@@ -59,28 +65,8 @@ DEFINITION = EffectDefinition(
             lower=0.0,
             main=False,
         ),
-        EffectParameter(
-            "inertia_ratio",
-            1.0,
-            1.0,
-            "share of the inertial torque that the teeth transmit: of what is behind them",
-            lower=0.0,
-            upper=1.0,
-            role="shape",
-            main=False,
-            frozen=True,
-        ),
-        EffectParameter(
-            "friction_ratio",
-            0.0,
-            1.0,
-            "share of all friction that the teeth transmit: of what is behind them",
-            lower=0.0,
-            upper=1.0,
-            role="shape",
-            main=False,
-            frozen=True,
-        ),
+        _share("inertia_ratio", 1.0, "the inertial torque"),
+        _share("friction_ratio", 0.0, "all friction"),
     ),
     contribute=_contribute,
     excitation=load_excitation("sliding both ways under loads from none to several times the Coulomb level"),

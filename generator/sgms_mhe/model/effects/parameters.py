@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from sgms_mhe.machine.units import suffix_of
@@ -158,3 +159,10 @@ class EffectParameter:
         if self.role == "place" or nominal == 0.0:
             return self.size(scales)
         return 0.03 * nominal if self.role == "period" else nominal
+
+
+decided = partial(EffectParameter, main=False, frozen=True)
+"""A parameter that its search decides: an effect is complete without it, and no fit moves it."""
+
+shape = partial(EffectParameter, role="shape", step=step_by_factor)
+"""How an effect looks, a time constant or a corner: derivatives hold up to a factor."""

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need
-from sgms_mhe.model.effects.parameters import step_by_factor, step_of_share
+from sgms_mhe.model.effects.parameters import shape, step_of_share
 from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
@@ -66,16 +66,7 @@ DEFINITION = EffectDefinition(
             role="period",
             step=step_of_share,
         ),
-        EffectParameter(
-            "damping_ratio",
-            0.02,
-            0.01,
-            "damping ratio with the rest held",
-            lower=0.0,
-            upper=2.0,
-            role="shape",
-            step=step_by_factor,
-        ),
+        shape("damping_ratio", 0.02, 0.01, "damping ratio with the rest held", 0.0, 2.0),
         EffectParameter("mass_kg", 0.0, 0.1, "hanging part of the mass", lower=0.0, unit="mass"),
     ),
     contribute=_contribute,
