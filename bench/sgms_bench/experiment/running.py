@@ -30,7 +30,7 @@ from sgms_bench.records import (
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.evaluation.plots import save_figure
 from sgms_mhe.machine import Machine
-from sgms_mhe.reference import estimate_reference, estimate_smoother
+from sgms_mhe.reference import estimate_reference
 from sgms_mhe.signals.estimates import write_estimates
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import write_text
@@ -182,7 +182,7 @@ def _reference(name: str, machine: Machine, record: Record) -> EstimatorOutcome:
 
 
 def _smoother(name: str, machine: Machine, record: Record) -> EstimatorOutcome:
-    return time_estimator(name, machine, lambda: estimate_smoother(machine, record.signals))
+    return time_estimator(name, machine, lambda: estimate_reference(machine, record.signals, "smoother"))
 
 
 def _table(title: str, outcomes: Sequence[EstimatorOutcome], record: Record, notes: tuple[str, ...]) -> CsvTable:

@@ -21,7 +21,7 @@ from sgms_bench.studies.cases import (
 )
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.reference import estimate_smoother
+from sgms_mhe.reference import estimate_reference
 from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
 from sgms_mhe.support.tables import CsvTable
 
@@ -85,7 +85,7 @@ def compare_case(case: Case, seeds: Sequence[int], duration_s: float = 6.0, smoo
         for kind, estimator in estimators.items():
             errors[kind].append(friction_error(estimator.estimate(record.signals), record))
         if index < smoothed:
-            errors["smoother"].append(friction_error(estimate_smoother(machine, record.signals), record))
+            errors["smoother"].append(friction_error(estimate_reference(machine, record.signals, "smoother"), record))
     return EstimatorRatio(case, *(np.array(errors[kind]) for kind in ("mhe", "ekf", "smoother")))
 
 

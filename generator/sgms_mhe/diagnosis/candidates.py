@@ -109,18 +109,30 @@ def _search_effect(definition: EffectDefinition, subject: Subject, fit: Fit, see
 
 
 def _search_columns(definition: EffectDefinition, kind: Columns, seen: Residual) -> Proposal | None:
-    best: tuple[float, Mapping[str, float], Array] | None = None
+    best = _BestTrial()
     for given in kind.grid(seen.motion):
         Z = seen.columns(kind.columns(seen.motion, given))
         found = energy(Z, seen.e)
         if kind.own_size is not None and found > 0.0:
             found *= _agreement(_coefficient(Z, seen.e), given[kind.own_size])
-        if best is None or found > best[0]:
-            best = found, given, Z
-    if best is None or best[0] <= 0.0:
+        best.offer(found, given, Z)
+    if best.Z is None:
         return None
-    _, given, Z = best
-    return propose(definition, seen, Z, kind.tests, lambda size: kind.parameters(given, size))
+    return propose(definition, seen, best.Z, kind.tests, partial(kind.parameters, best.given))
+
+
+class _BestTrial:
+    """The trial that explains most, of those that explain anything: what was given, and its columns (rows, k)."""
+
+    def __init__(self) -> None:
+        self.given: Mapping[str, float] = {}
+        self.Z: Array | None = None
+        self._energy = 0.0
+
+    def offer(self, energy: float, given: Mapping[str, float], Z: Array) -> None:
+        """Keep a trial that explains more than all before it."""
+        if energy > self._energy:
+            self.given, self.Z, self._energy = given, Z, energy
 
 
 def _coefficient(Z: Array, e: Array) -> float:
@@ -206,20 +218,17 @@ def _search_derivative(
     here = replace(seen, recording=choose_rate.recording)
     grid = kind.grid(seen.motion)
     model = choose_rate.model((*fit.effects, CandidateEffect(definition.name, grid[0])))
-    best: tuple[float, Mapping[str, float], Array] | None = None
+    best = _BestTrial()
     trials = [partial(_slope, definition, size, {size: none, **given}, choose_rate, model, fit) for given in grid]
     for given, slope in zip(grid, run_parallel(trials), strict=True):
         if slope is None:
             continue
         Z = here.columns(slope)
-        found = energy(Z, seen.e)
-        if best is None or found > best[0]:
-            best = found, given, Z
-    if best is None or best[0] <= 0.0:
+        best.offer(energy(Z, seen.e), given, Z)
+    if best.Z is None:
         return None
-    _, given, Z = best
     # From `none` on, as the derivative is.
-    return propose(definition, here, Z, kind.tests, lambda found: {**given, size: none + float(found[0])})
+    return propose(definition, here, best.Z, kind.tests, lambda found: {**best.given, size: none + float(found[0])})
 
 
 def _search_trials(
@@ -254,7 +263,7 @@ def _search_trials(
         start[back] = [c.machine_theta for c, is_back in zip(own.columns, back, strict=True) if is_back]
         return own.run(choose_rate.recording, start, derivatives=False)[0]
 
-    best: tuple[float, Mapping[str, float], Array] | None = None
+    best = _BestTrial()
     forces = run_parallel([partial(make_force, values) for values in trials])
     for values, force in zip(trials, forces, strict=True):
         if not np.all(np.isfinite(force)):
@@ -264,18 +273,17 @@ def _search_trials(
         if found > 0.0:
             # The trial's own size is the right one where its coefficient is 1.
             found *= _agreement(_coefficient(Z, seen.e), 1.0)
-        if best is None or found > best[0]:
-            best = found, values, Z
-    if best is None or best[0] <= 0.0:
+        best.offer(found, values, Z)
+    if best.Z is None:
         return None
-    (key, value), Z = next(iter(best[1].items())), best[2]
+    key, value = next(iter(best.given.items()))
 
     def parameters(size: Array) -> Mapping[str, float]:
         # Between the trial and what a linear force would ask for.
         factor = float(size[0])
         return {key: value * (math.copysign(math.sqrt(abs(factor)), factor) if factor != 0.0 else 0.0)}
 
-    return propose(definition, here, Z, float(len(trials)), parameters)
+    return propose(definition, here, best.Z, float(len(trials)), parameters)
 
 
 def _run_through(

@@ -305,15 +305,7 @@ def _fit(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | None,
         except FitError:
             if subject.fine is None:
                 raise
-    return fit_model(
-        subject.whole,
-        effects,
-        refitted=wanted.refitted,
-        warm=warm,
-        rows=wanted.rows,
-        fixed=wanted.fixed,
-        iterations=wanted.iterations,
-    )
+    return fit_model(subject.whole, effects, warm=warm, **vars(wanted))
 
 
 def _fit_here(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | None, wanted: _Wanted) -> Fit:

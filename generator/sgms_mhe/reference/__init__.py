@@ -36,8 +36,3 @@ def estimate_reference(
 ) -> Estimates:
     """Estimate as the machine file says (`estimator.kind`), or with the solver named."""
     return estimate_model(build_model(machine), signals, kind or machine.estimator.kind, progress=progress)
-
-
-def estimate_smoother(machine: Machine, signals: Signals, *, progress: Progress | None = None) -> Estimates:
-    """Full-information smoother over the whole record."""
-    return estimate_reference(machine, signals, "smoother", progress=progress)

@@ -130,6 +130,6 @@ def one_number(
     return Specimen(lambda scene, _, x: {name: none + x * unit(scene)}, signed=signed, concealed=concealed)
 
 
-def ripple(size: str, unit: Callable[[Scene], float]) -> Specimen:
-    """A sine in position of amplitude x `unit`."""
-    return Specimen(lambda scene, drawn, x: {size: x * unit(scene), **drawn}, (PITCH, PHASE), signed=False)
+def ripple(size: str, unit: Callable[[Scene], float], ranges: tuple[Range, ...] = (PITCH, PHASE)) -> Specimen:
+    """A sine of amplitude x `unit`; in position, unless other numbers are drawn."""
+    return Specimen(lambda scene, drawn, x: {size: x * unit(scene), **drawn}, ranges, signed=False)

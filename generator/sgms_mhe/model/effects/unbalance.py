@@ -10,7 +10,7 @@ import numpy as np
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.model.effects.sines import phase
-from sgms_mhe.model.effects.specimen import PHASE, Specimen
+from sgms_mhe.model.effects.specimen import PHASE, ripple
 
 DEFINITION = EffectDefinition(
     name="unbalance",
@@ -42,7 +42,5 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     companion=True,
-    specimen=Specimen(
-        lambda scene, drawn, x: {"amplitude_N": x * scene.scales.coulomb, **drawn}, (PHASE,), signed=False
-    ),
+    specimen=ripple("amplitude_N", lambda scene: scene.scales.coulomb, (PHASE,)),
 )
