@@ -126,7 +126,8 @@ ENDS = ("startswith", "endswith", "removeprefix", "removesuffix")
 
 OF_EFFECTS = ("diagnosis", "report")
 
-SPECIMENS = (  # machine files and axes, which have effects by name
+SPECIMENS = (  # machine files, axes and what a benchmark hides, which have effects by name
+    BENCH / "diagnosis" / "specimens.py",
     BENCH / "verification" / "specimens.py",
     BENCH / "studies" / "coarse.py",
     BENCH / "studies" / "lasting_errors.py",

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from sgms_bench.diagnosis.specimens import SPECIMENS, WRONG_NUMBERS, Scene, log_uniform
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, effect_definition
-from sgms_mhe.model.effects.specimen import Scene, log_uniform
+from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -65,7 +65,7 @@ def sized_cause(
     )
     if name in BASE_CAUSES:
         return _wrong_number(machine, motion, plain, name, scene, size)
-    specimen = effect_definition(name).specimen
+    specimen = SPECIMENS.get(name)
     if specimen is None:
         return None
     parameters, x = specimen.draw(scene), 1.0
@@ -92,7 +92,7 @@ def _wrong_number(
     machine: Machine, motion: Trajectory, plain: Signals, name: str, scene: Scene, size: float
 ) -> tuple[Hidden, Array] | None:
     """A wrong number that changes the force by that size, and the change; None where the machine has none."""
-    drawn = BASE_CAUSES[name].factors(scene, size)
+    drawn = WRONG_NUMBERS[name](scene, size)
     if drawn is None:
         return None
     factors, elements = Values(), len(machine.friction.stiffness)
@@ -108,7 +108,7 @@ def _wrong_number(
 
 def prescribed_signals(machine: Machine, motion: Trajectory, hidden: Hidden) -> Signals:
     """Signals of an axis that follows the motion exactly, without noise."""
-    specimen = effect_definition(hidden.name).specimen if hidden.name in EFFECT_NAMES else None
+    specimen = SPECIMENS.get(hidden.name)
     logged = specimen.logged if specimen is not None else None
     effects = [(hidden.name, hidden.parameters)] if hidden.parameters and logged is None else []
     config = AxisConfig(control="prescribed", encoder_resolution_m=0.0, force_noise_N=0.0, substeps=2)

@@ -19,13 +19,13 @@ from sgms_bench.diagnosis.axes import DrawnAxis, PlantLaw, draw_axis, machine_fi
 from sgms_bench.diagnosis.causes import Hidden, Values, draw_size, peak_force, prescribed_signals, sized_cause
 from sgms_bench.diagnosis.faults import FAULTS
 from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
+from sgms_bench.diagnosis.specimens import SPECIMENS, log_uniform
 from sgms_bench.diagnosis.unmodelled import CURVES, SMOOTH_CURVES, UNMODELLED, curves_over_speed
 from sgms_bench.diagnosis.visibility import sensitivities, visible_share
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, own_effects
-from sgms_mhe.model.effects.specimen import log_uniform
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -42,7 +42,7 @@ KINDS: Final = (
     "single", "double", "single", "fault", "base", "single", "unmodelled", "triple", "clean", "weak",
 )  # fmt: skip
 """What the draws are, in turn: any number of draws from the first on is balanced."""
-HIDEABLE: Final = tuple(name for name in EFFECT_NAMES if effect_definition(name).specimen is not None)
+HIDEABLE: Final = tuple(name for name in EFFECT_NAMES if name in SPECIMENS)
 VISIBLE: Final = 0.3
 SECONDS: Final = (10.0, 16.0)
 ATTEMPTS: Final = 25
@@ -320,7 +320,7 @@ def _weak(frame: _Frame, number: int) -> Draw | None:
     concealed = {
         name: found
         for name in sorted(frame.effects(draw), reverse=True)
-        if (specimen := effect_definition(name).specimen) and (found := specimen.concealed) and found.motion == style
+        if (specimen := SPECIMENS.get(name)) and (found := specimen.concealed) and found.motion == style
     }
     name = str(frame.random.choice(list(concealed)))
     return replace(draw, hidden=(Hidden(name, dict(concealed[name].values(scales_of(axis)))),))
@@ -338,7 +338,7 @@ def _clock(frame: _Frame, draw: Draw, axis: Machine) -> Draw | None:
 
 def something_to_act_on(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
     """Changes of a machine whose numbers are too small for these causes to have something to act on; {}: none is."""
-    specimens = [effect_definition(name).specimen for name in names if name in EFFECT_NAMES]
+    specimens = [SPECIMENS.get(name) for name in names]
     least = {key: value for s in specimens if s is not None for key, value in (s.least or {}).items()}
     friction = {key: max(value, getattr(machine.friction, key)) for key, value in least.items()}
     return {"name": "specimen", "friction": friction} if friction else {}

@@ -11,7 +11,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, MotionRecord
 from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, no_shorter, shortest_lag, time_apart
 from sgms_mhe.model.effects.search import Columns, Values
-from sgms_mhe.model.effects.specimen import Specimen
 from sgms_mhe.support.arrays import Array
 
 
@@ -60,10 +59,4 @@ DEFINITION = EffectDefinition(
     fit_displacement=LAG_DISPLACEMENT,
     stage="actuator",
     states=("lagged_force",),
-    specimen=Specimen(
-        lambda scene, _, x: {"time_constant_s": x * scene.scales.step},
-        signed=False,
-        # u = lagged + T d(lagged)/dt makes the motion.
-        logged=lambda force, step, p: force + p["time_constant_s"] * np.gradient(force, step),
-    ),
 )

@@ -8,7 +8,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.motion import direction
 from sgms_mhe.model.effects.search import Columns, Values, one_size
-from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
@@ -31,5 +30,4 @@ DEFINITION = EffectDefinition(
     linear=True,
     stage="level",
     companion=True,
-    specimen=one_number("ratio", lambda _: 1.0, concealed=Concealed("one_way", lambda _: {"ratio": 0.2})),
 )

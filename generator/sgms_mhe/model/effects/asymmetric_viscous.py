@@ -8,7 +8,6 @@ import numpy as np
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import Columns, Values, one_size
-from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 
 def _brakes_both_ways(p: Values, scales: Scales) -> bool:
@@ -35,9 +34,4 @@ DEFINITION = EffectDefinition(
     linear=True,
     possible=_brakes_both_ways,
     companion=True,
-    specimen=one_number(
-        "difference_N_s_m",
-        lambda scene: scene.scales.coulomb / scene.speed,
-        concealed=Concealed("presliding", lambda scales: {"difference_N_s_m": 0.5 * scales.coulomb_over_speed}),
-    ),
 )

@@ -11,7 +11,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need
 from sgms_mhe.model.effects.parameters import step_by_factor
 from sgms_mhe.model.effects.search import Trials, Values
-from sgms_mhe.model.effects.specimen import one_number
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 from sgms_mhe.support.arrays import Array
 
@@ -101,5 +100,4 @@ DEFINITION = EffectDefinition(
     stage="level",
     smooth_only="what crosses the gap depends on the elements' force: they have no displacement of their own",
     states=("place",),
-    specimen=one_number("gap_m", lambda scene: 0.1 * scene.scales.deflection, signed=False),
 )

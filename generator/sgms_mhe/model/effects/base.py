@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,7 +15,6 @@ from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.parameters import RecordLimit
 from sgms_mhe.model.effects.scales import Unit
 from sgms_mhe.model.effects.search import Columns, Values
-from sgms_mhe.model.effects.specimen import Scene
 
 LARGEST_RISE: Final = 20.0
 """Stribeck ratio beyond which none is followed [1]: far above the Stribeck velocity any size would do."""
@@ -84,14 +83,11 @@ class BaseCause(CauseDefinition):
         numbers: of the base model.
         start_factors: factors, common to all elements, that a fit may start from: where elements turn round all the
             time the sum of squares is rough in them, and a fit that starts far away stops short. Empty: the file's.
-        factors: how a benchmark makes the numbers wrong: factors on them (on all elements, or on single columns) for
-            a size, the largest change of the force over f_C; None where the machine has nothing to make wrong.
         start_search: columns to start from where the machine file says 0 of a number and so nothing of the others;
             sizes that are not positive are none.
     """
 
     numbers: tuple[BaseNumber, ...]
-    factors: Callable[[Scene, float], Mapping[str, float] | None]
     start_factors: tuple[float, ...] = ()
     start_search: Columns | None = None
 
@@ -117,38 +113,6 @@ _RISE = Columns(
 )
 
 
-def _stiffness(scene: Scene, _: float) -> Mapping[str, float]:
-    """A factor of its own: what it does to the force hangs on the reversals alone."""
-    return {"stiffness": float(np.exp(scene.sign() * scene.random.uniform(0.3, 0.8)))}
-
-
-def _fraction(scene: Scene, _: float) -> Mapping[str, float] | None:
-    """Every element's share by a factor of its own; as of stiffnesses, the force hangs on the reversals alone."""
-    shares = {key: value for key, value in scene.numbers.items() if FRACTION.is_element(key)}
-    if len(shares) < 2:
-        return None
-    drawn = {key: value * float(np.exp(scene.random.uniform(-0.8, 0.8))) for key, value in shares.items()}
-    total = sum(drawn.values())
-    return {key: drawn[key] / total / shares[key] for key in shares}
-
-
-def _coulomb(scene: Scene, size: float) -> Mapping[str, float]:
-    return {"coulomb": 1.0 + size * scene.sign()}
-
-
-def _viscous(scene: Scene, size: float) -> Mapping[str, float] | None:
-    if scene.numbers["viscous"] == 0.0:
-        return None
-    change = size * scene.scales.coulomb / (scene.numbers["viscous"] * scene.speed)
-    return {"viscous": 1.0 + max(-0.8, change * scene.sign())}
-
-
-def _stribeck(scene: Scene, size: float) -> Mapping[str, float] | None:
-    if scene.numbers["stribeck_ratio"] == 0.0:
-        return None
-    return {"stribeck_ratio": 1.0 + size / scene.numbers["stribeck_ratio"]}
-
-
 BASE_CAUSES: Final[Mapping[str, BaseCause]] = {
     cause.name: cause
     for cause in (
@@ -157,7 +121,6 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = {
             summary="presliding stiffness differs from the machine file",
             numbers=(BaseNumber("stiffness", "stiffness", "_N_m", array=True),),
             start_factors=(0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8),
-            factors=_stiffness,
             moves=("loops", "places"),
             excitation=Excitation(
                 "reversals, and loops that stay below break-away; an element shows only where it turns round",
@@ -174,7 +137,6 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = {
             name="fraction",
             summary="shares of the Coulomb level that elements carry differ from the machine file",
             numbers=(FRACTION,),
-            factors=_fraction,
             moves=("loops", "places"),
             excitation=Excitation(
                 "reversals, and loops below and beyond each element's break-away", (Need("reversals", 4.0),)
@@ -189,7 +151,6 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = {
             name="coulomb",
             summary="Coulomb level differs from the machine file",
             numbers=(BaseNumber("coulomb", "Coulomb friction", "_N"),),
-            factors=_coulomb,
             of_record=True,  # temperature changes it
             over_speed=True,
             moves=("speeds", "again"),
@@ -205,7 +166,6 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = {
             name="viscous",
             summary="viscous friction differs from the machine file",
             numbers=(BaseNumber("viscous", "viscous friction", "_N_s_m", lower=0.0, typical=0.1, unit="damping"),),
-            factors=_viscous,
             of_record=True,  # temperature changes it
             over_speed=True,
             moves=("speeds", "again"),
@@ -233,7 +193,6 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = {
                 ),
             ),
             start_search=_RISE,
-            factors=_stribeck,
             over_speed=True,
             moves=("speeds", "rests"),
             excitation=Excitation(

@@ -6,7 +6,6 @@ import numpy as np
 
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Columns, one_size
-from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 DEFINITION = EffectDefinition(
     name="constant_offset",
@@ -29,9 +28,4 @@ DEFINITION = EffectDefinition(
     linear=True,
     of_record=True,
     companion=True,
-    specimen=one_number(
-        "force_N",
-        lambda scene: scene.scales.coulomb,
-        concealed=Concealed("one_way", lambda scales: {"force_N": 0.2 * scales.coulomb}),
-    ),
 )

@@ -13,7 +13,6 @@ from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import CurveColumns, Derivative, Harmonic, Periodic, Search, Unsearched, Values
-from sgms_mhe.model.effects.specimen import Specimen
 
 Stage = Literal["signal", "level", "force", "motor", "log", "actuator"]
 STAGES: Final[tuple[Stage, ...]] = ("signal", "level", "force", "motor", "log", "actuator")
@@ -74,7 +73,6 @@ class EffectDefinition(CauseDefinition):
         possible: whether an axis of these scales can have it with these parameters (by name, SI), beyond their limits:
             what takes power from a motion has no size, within both, that drives one.
         smooth_only: why it cannot stand where elements switch instead of going over smoothly; empty: it can.
-        specimen: how a benchmark hides it; None: not at all.
         fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
             its states; None: 1, they settle within it. Below 1: its states are derivatives of the force, and a long
             step makes a jerk half as large again. Above 1: its states are so fast that shorter steps cost too many.
@@ -95,7 +93,6 @@ class EffectDefinition(CauseDefinition):
     fault: Callable[[Mapping[str, Value]], Fault | None] = _no_fault
     possible: Callable[[Values, Scales], bool] = _always
     smooth_only: str = ""
-    specimen: Specimen | None = None
     plant_force: PlantForce | None = None
 
     def parameter(self, name: str) -> EffectParameter:

@@ -13,7 +13,6 @@ from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter, shape
 from sgms_mhe.model.effects.search import Columns, Values, one_size
-from sgms_mhe.model.effects.specimen import TIME_CONSTANT, Specimen
 from sgms_mhe.support.arrays import Array
 
 SLOWEST: Final = 20.0
@@ -48,11 +47,6 @@ def drift_search(force: Callable[[MotionRecord], Array]) -> Columns:
 def drift_limit(base: str) -> Simpler:
     """A drift that is over at once is a wrong number, `base`."""
     return Simpler((base,), _is_over)
-
-
-def drift_specimen() -> Specimen:
-    """A drift over a share of the log."""
-    return Specimen(lambda _, p, x: {"ratio": min(max(x, -0.9), 5.0), **p}, (TIME_CONSTANT,))
 
 
 def _is_over(p: Values, extents: Extents) -> bool:

@@ -9,7 +9,6 @@ import casadi as ca
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Simpler
 from sgms_mhe.model.effects.search import Columns, Values
-from sgms_mhe.model.effects.specimen import one_number
 from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
 from sgms_mhe.support.arrays import Array
 
@@ -62,5 +61,4 @@ DEFINITION = EffectDefinition(
     # Per unit of efficiency where nothing is lost.
     search=Columns(lambda m, _: -friction_drag(m), _efficiency, exact="efficiency_ratio"),
     stage="level",
-    specimen=one_number("efficiency_ratio", lambda _: -0.1, none=1.0, signed=False),
 )

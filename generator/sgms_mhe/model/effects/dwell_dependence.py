@@ -9,7 +9,6 @@ from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation
 from sgms_mhe.model.effects.parameters import shape
 from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import Derivative, Values
-from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 
@@ -76,12 +75,4 @@ DEFINITION = EffectDefinition(
     search=Derivative("ratio", _trials, tests=6.0, costly=True),
     stage="level",
     states=("age",),
-    specimen=Specimen(
-        lambda _, p, x: {"ratio": min(x, 3.0), **p},
-        (
-            Range("time_constant_s", 0.05, 0.3),
-            Range("length_m", 0.3, 2.0, lambda scene: scene.scales.deflection),
-        ),
-        signed=False,
-    ),
 )

@@ -8,7 +8,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Extents, Need, Simpler
 from sgms_mhe.model.effects.parameters import shape
 from sgms_mhe.model.effects.search import Columns, Values, one_size
-from sgms_mhe.model.effects.specimen import Concealed, Range, Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
@@ -48,16 +47,4 @@ DEFINITION = EffectDefinition(
         tests=3.0,
     ),
     linear=True,
-    specimen=Specimen(
-        lambda scene, p, x: {"damping_N_s_m": 2.0 * x * scene.scales.coulomb / p["corner_velocity_m_s"], **p},
-        (Range("corner_velocity_m_s", 0.08, 0.35, lambda scene: scene.speed),),
-        signed=False,
-        concealed=Concealed(
-            "presliding",
-            lambda scales: {
-                "damping_N_s_m": scales.coulomb_over_speed,
-                "corner_velocity_m_s": 0.3 * scales.speed,
-            },
-        ),
-    ),
 )

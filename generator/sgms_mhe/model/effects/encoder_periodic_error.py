@@ -10,7 +10,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Harmonic, Values, ones
 from sgms_mhe.model.effects.sines import phase, pitch
-from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
@@ -63,5 +62,4 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     stage="signal",
-    specimen=ripple("amplitude_m", lambda _: 1e-7),
 )

@@ -6,7 +6,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Values
 from sgms_mhe.model.effects.sines import phase, pitch, ripple_search, sine
-from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
@@ -34,5 +33,4 @@ DEFINITION = EffectDefinition(
     search=ripple_search("ratio", lambda m: -m.force),
     linear=True,
     stage="motor",
-    specimen=ripple("ratio", lambda _: 0.1),
 )

@@ -15,8 +15,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, no_shorter, shortest_lag, time_apart
 from sgms_mhe.model.effects.search import Columns, Values, one_size
-from sgms_mhe.model.effects.specimen import Specimen
-from sgms_mhe.support.arrays import Array
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
@@ -65,12 +63,6 @@ def _delay(axis: SymbolicAxis, d: ca.SX, late: float) -> None:
     axis.drive = drive - d * slope
 
 
-def _log_force(force: Array, step: float, p: Values) -> Array:
-    """Return the logged series (n) of the force that makes a motion [N]."""
-    time = step * np.arange(len(force))
-    return np.asarray(np.interp(time - p["delay_s"], time, force))
-
-
 DEFINITION = EffectDefinition(
     name="force_delay",
     summary="logged force is later or earlier than the motion",
@@ -100,5 +92,4 @@ DEFINITION = EffectDefinition(
     fit_displacement=LAG_DISPLACEMENT,
     stage="log",
     states=("lagged_force",),
-    specimen=Specimen(lambda scene, _, x: {"delay_s": x * scene.scales.step}, logged=_log_force),
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Columns, Values
-from sgms_mhe.model.effects.specimen import one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
@@ -35,5 +34,4 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     stage="log",
-    specimen=one_number("gain", lambda _: 0.1, none=1.0),
 )

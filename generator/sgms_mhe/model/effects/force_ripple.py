@@ -6,7 +6,6 @@ import numpy as np
 
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.sines import phase, pitch, ripple_search, sine
-from sgms_mhe.model.effects.specimen import ripple
 
 DEFINITION = EffectDefinition(
     name="force_ripple",
@@ -32,5 +31,4 @@ DEFINITION = EffectDefinition(
     simpler=Simpler(("constant_offset", "position_spring", "unbalance")),
     search=ripple_search("amplitude_N", lambda m: np.ones(len(m.time))),
     repeatable=True,
-    specimen=ripple("amplitude_N", lambda scene: scene.scales.coulomb),
 )

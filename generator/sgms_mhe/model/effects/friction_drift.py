@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, Excitation, Need
-from sgms_mhe.model.effects.drift import drift_factor, drift_limit, drift_parameters, drift_search, drift_specimen
+from sgms_mhe.model.effects.drift import drift_factor, drift_limit, drift_parameters, drift_search
 from sgms_mhe.model.effects.search import Values
 
 
@@ -32,5 +32,4 @@ DEFINITION = EffectDefinition(
     search=drift_search(lambda m: m.level),
     linear=True,
     stage="level",
-    specimen=drift_specimen(),
 )

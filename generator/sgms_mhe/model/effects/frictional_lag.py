@@ -6,7 +6,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, Excitation, Need
 from sgms_mhe.model.effects.lag import FILM_LAG, add_film
 from sgms_mhe.model.effects.search import Trials, Values
-from sgms_mhe.model.effects.specimen import Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
@@ -39,9 +38,4 @@ DEFINITION = EffectDefinition(
     search=Trials(lambda _: [{"time_constant_s": x} for x in (1e-3, 4e-3, 16e-3, 64e-3)]),
     stage="level",
     states=("level",),
-    specimen=Specimen(
-        lambda _, __, x: {"time_constant_s": x * 0.01},
-        signed=False,
-        least={"stribeck_ratio": 0.4},  # with little Stribeck effect there is little to lag
-    ),
 )

@@ -9,7 +9,6 @@ from scipy.linalg.blas import dtbsv
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Extents, MotionRecord, Need, Simpler
 from sgms_mhe.model.effects.search import Columns, Values
-from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 from sgms_mhe.support.arrays import Array
 
@@ -76,12 +75,4 @@ DEFINITION = EffectDefinition(
         tests=4.0,
     ),
     states=("force",),
-    specimen=Specimen(
-        lambda scene, p, x: {
-            "stiffness_N_m": x * scene.scales.coulomb / p["length"],
-            "force_N": x * scene.scales.coulomb,
-        },
-        (Range("length", 0.03, 0.2, lambda scene: scene.travel),),
-        signed=False,
-    ),
 )

@@ -15,7 +15,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, MotionRecord, Simpler
 from sgms_mhe.model.effects.parameters import decided
 from sgms_mhe.model.effects.search import Columns, Values, one_size
-from sgms_mhe.model.effects.specimen import Specimen
 from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
 
 SHARES: Final = ("inertia_ratio", "friction_ratio")
@@ -85,5 +84,4 @@ DEFINITION = EffectDefinition(
     ),
     stage="level",
     companion=True,
-    specimen=Specimen(lambda _, __, x: {"ratio": 0.1 * x, "rise_ratio": 0.0}, signed=False),
 )

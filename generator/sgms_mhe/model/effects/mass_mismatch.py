@@ -6,7 +6,6 @@ from typing import Final
 
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Columns, one_size
-from sgms_mhe.model.effects.specimen import one_number
 
 LIGHTEST: Final = 0.95
 """Of the machine file's mass: what may be missing of it, so that something moves."""
@@ -30,5 +29,4 @@ DEFINITION = EffectDefinition(
     search=Columns(lambda m, _: m.acceleration[:, None], one_size("mass_kg")),
     linear=True,
     possible=lambda p, scales: p["mass_kg"] > -LIGHTEST * scales.mass,
-    specimen=one_number("mass_kg", lambda scene: 0.1 * scene.scales.mass),
 )

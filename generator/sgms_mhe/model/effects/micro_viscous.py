@@ -7,7 +7,6 @@ import numpy as np
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Columns, Values, one_size
-from sgms_mhe.model.effects.specimen import one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
@@ -37,5 +36,4 @@ DEFINITION = EffectDefinition(
     ),
     stage="level",
     smooth_only="the damping of an element would jump where it breaks away",
-    specimen=one_number("damping_N_s_m", lambda scene: scene.scales.coulomb / scene.speed, signed=False),
 )

@@ -12,7 +12,6 @@ from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation
 from sgms_mhe.model.effects.parameters import step_of_frequency
 from sgms_mhe.model.effects.search import Harmonic, Values, ones
 from sgms_mhe.model.effects.sines import phase
-from sgms_mhe.model.effects.specimen import PHASE, Range, ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
@@ -56,5 +55,4 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     repeatable=True,
-    specimen=ripple("amplitude_N", lambda scene: scene.scales.coulomb, (Range("frequency_Hz", 0.5, 80.0), PHASE)),
 )

@@ -6,7 +6,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.search import Values
 from sgms_mhe.model.effects.sines import phase, pitch, ripple_search, sine
-from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
@@ -36,5 +35,4 @@ DEFINITION = EffectDefinition(
     search=ripple_search("ratio", lambda m: m.level),
     linear=True,
     stage="level",
-    specimen=ripple("ratio", lambda _: 1.0),
 )

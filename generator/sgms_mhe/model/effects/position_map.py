@@ -16,7 +16,6 @@ from sgms_mhe.model.effects.definition import Fault, Value
 from sgms_mhe.model.effects.periodic_table import periodic_spline, spline_coefficients
 from sgms_mhe.model.effects.search import Periodic, Values
 from sgms_mhe.model.effects.sines import pitch, ripple_search
-from sgms_mhe.model.effects.specimen import Range, Scene, Specimen
 
 HIGHEST_ORDER: Final = 100
 ROOM: Final = 1.05  # of the travel: a map over the whole stroke repeats where the stroke ends
@@ -62,20 +61,6 @@ def _find_fault(values: Mapping[str, Value]) -> Fault | None:
     return None
 
 
-def _hidden(scene: Scene, drawn: Values, x: float) -> Values:
-    """Three sines, each smaller than the one before."""
-    values = {"pitch_m": drawn["pitch_m"]}
-    orders = (1, round(drawn["second"]), round(drawn["third"]))
-    for i, order in enumerate(orders, start=1):
-        angle, size = drawn[f"angle_{i}"], x * drawn["share"] ** (i - 1) * scene.scales.coulomb
-        values |= {
-            _ORDER.entry(i): float(order),
-            _SINE.entry(i): size * math.cos(angle),
-            _COSINE.entry(i): size * math.sin(angle),
-        }
-    return values
-
-
 DEFINITION = EffectDefinition(
     name="position_map",
     summary="force over position, of any shape that repeats",
@@ -109,15 +94,4 @@ DEFINITION = EffectDefinition(
         room=ROOM,
     ),
     linear=True,
-    specimen=Specimen(
-        _hidden,
-        (
-            Range("pitch_m", 1.0, 8.0, lambda scene: scene.travel, "part"),
-            Range("second", 2.0, 4.4, spacing="linear"),
-            Range("third", 4.6, 8.4, spacing="linear"),
-            Range("share", 0.5, 0.8, spacing="linear"),
-            *(Range(f"angle_{i}", -math.pi, math.pi, spacing="linear") for i in (1, 2, 3)),
-        ),
-        signed=False,
-    ),
 )

@@ -6,7 +6,6 @@ import numpy as np
 
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.search import Columns
-from sgms_mhe.model.effects.specimen import Specimen
 
 DEFINITION = EffectDefinition(
     name="position_spring",
@@ -41,5 +40,4 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     companion=True,
-    specimen=Specimen(lambda scene, _, x: {"stiffness_N_m": x * scene.scales.coulomb / scene.travel, "centre_m": 0.0}),
 )

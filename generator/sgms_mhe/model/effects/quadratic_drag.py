@@ -7,7 +7,6 @@ import numpy as np
 
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Columns, one_size
-from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 DEFINITION = EffectDefinition(
     name="quadratic_drag",
@@ -26,13 +25,4 @@ DEFINITION = EffectDefinition(
     excludes=("friction_curve",),
     search=Columns(lambda m, _: (m.velocity * np.abs(m.velocity))[:, None], one_size("coefficient_N_s2_m2")),
     linear=True,
-    specimen=one_number(
-        "coefficient_N_s2_m2",
-        lambda scene: scene.scales.coulomb / scene.speed**2,
-        signed=False,
-        concealed=Concealed(
-            "presliding",
-            lambda scales: {"coefficient_N_s2_m2": scales.coulomb_over_speed / scales.speed},
-        ),
-    ),
 )

@@ -7,7 +7,6 @@ import casadi as ca
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.search import Step, Values
-from sgms_mhe.model.effects.specimen import Range, Specimen
 
 # The step as the signal chain passes it on; a sharp one would have no derivative in its time.
 _RISE_S = 1e-3
@@ -36,8 +35,4 @@ DEFINITION = EffectDefinition(
     simpler=Simpler(("constant_offset",)),
     search=Step("force_N", "time_s"),
     linear=True,
-    specimen=Specimen(
-        lambda scene, p, x: {"force_N": x * scene.scales.coulomb, **p},
-        (Range("time_s", 0.25, 0.75, lambda scene: scene.seconds, "linear"),),
-    ),
 )

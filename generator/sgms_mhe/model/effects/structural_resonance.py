@@ -11,7 +11,6 @@ from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need
 from sgms_mhe.model.effects.parameters import shape, step_of_share
 from sgms_mhe.model.effects.search import Columns, Values, one_size
-from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 from sgms_mhe.support.arrays import Array
 
@@ -87,12 +86,4 @@ DEFINITION = EffectDefinition(
     # It is a part of what moves.
     possible=lambda p, scales: p["mass_kg"] < scales.mass,
     states=("stretch", "stretch_rate"),
-    specimen=Specimen(
-        lambda scene, p, x: {**p, "mass_kg": min(x, 4.0) * 0.1 * scene.scales.mass},
-        (
-            Range("frequency_Hz", 12.0, lambda scene: max(20.0, min(150.0, 0.25 * scene.cutoff))),
-            Range("damping_ratio", 0.01, 0.06),
-        ),
-        signed=False,
-    ),
 )

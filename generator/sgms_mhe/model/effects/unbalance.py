@@ -10,7 +10,6 @@ import numpy as np
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.model.effects.sines import phase
-from sgms_mhe.model.effects.specimen import PHASE, ripple
 
 DEFINITION = EffectDefinition(
     name="unbalance",
@@ -42,5 +41,4 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     companion=True,
-    specimen=ripple("amplitude_N", lambda scene: scene.scales.coulomb, (PHASE,)),
 )
