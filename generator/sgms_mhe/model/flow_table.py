@@ -14,6 +14,7 @@ from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, localcontext
 from functools import lru_cache
 
 from mpmath import mp, mpf
+from numpy.polynomial.chebyshev import cheb2poly
 
 from sgms_mhe.support.errors import InputError
 
@@ -267,11 +268,7 @@ def _interpolation(degree: int) -> tuple[list[Decimal], list[list[Decimal]]]:
     n = degree + 1
     with mp.workdps(_DIGITS + _GUARD):
         angles = [mp.pi * (2 * i + 1) / (2 * n) for i in range(n)]
-        chebyshev = [[1], [0, 1]]
-        for _ in range(2, n):
-            twice = [0, *(2 * c for c in chebyshev[-1])]
-            previous = [*chebyshev[-2], *[0] * (len(twice) - len(chebyshev[-2]))]
-            chebyshev.append([a - b for a, b in zip(twice, previous, strict=True)])
+        chebyshev = [cheb2poly([0] * m + [1]).tolist() for m in range(n)]  # whole numbers
         matrix = [[mpf(0)] * n for _ in range(n)]
         for m in range(n):
             scale = mpf(1 if m == 0 else 2) / n
