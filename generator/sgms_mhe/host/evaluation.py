@@ -12,27 +12,18 @@ from sgms_mhe.emission.graph import Graph, Node, walk
 from sgms_mhe.support.arrays import Array
 
 _OPERATIONS: Final[Mapping[str, Callable[..., Any]]] = {
+    **{name: getattr(np, name) for name in "fmax fmin exp log sqrt sin cos tanh sign floor".split()},
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
     "div": np.divide,
-    "fmax": np.fmax,
-    "fmin": np.fmin,
     "lt": lambda a, b: np.where(np.less(a, b), 1.0, 0.0),
     "le": lambda a, b: np.where(np.less_equal(a, b), 1.0, 0.0),
     "neg": np.negative,
-    "exp": np.exp,
-    "log": np.log,
-    "sqrt": np.sqrt,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tanh": np.tanh,
     "fabs": np.abs,
     "sq": np.square,
     "twice": lambda a: 2.0 * a,
     "inv": np.reciprocal,
-    "sign": np.sign,
-    "floor": np.floor,
     "not": lambda a: np.where(a == 0.0, 1.0, 0.0),
 }
 
