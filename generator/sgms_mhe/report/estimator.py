@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,9 +16,6 @@ from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.status import FLAGS, has_measurement
 from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.errors import InputError
-
-Progress = Callable[[int, int], None]
-"""Called with (updates done, updates in all), both estimators together."""
 
 BLOCKS: Final = 30
 DRAWS: Final = 2000
@@ -73,25 +69,20 @@ class EstimatorGain:
     after_N: Array
 
 
-def closed_loop_gain(
-    machine: Machine, extended_machine: Machine, log_unseen: Log, *, progress: Progress | None = None
-) -> EstimatorGain:
+def closed_loop_gain(machine: Machine, extended_machine: Machine, log_unseen: Log) -> EstimatorGain:
     """Generate both machines' estimators, run them on a log, compare their friction with the measured one.
 
     Args:
         machine: as it was.
         extended_machine: of a diagnosis.
         log_unseen: a log that the diagnosis did not use.
-        progress: as `Progress`.
 
     Raises:
         InputError: the log holds no second of motion that both estimators could use.
     """
-    signals = [signals_from_log(log_unseen, axis) for axis in (machine, extended_machine)]
-    estimates = [
-        CompiledEstimator(axis).estimate(signals[i], progress=None if progress is None else _half(progress, i))
-        for i, axis in enumerate((machine, extended_machine))
-    ]
+    axes = machine, extended_machine
+    signals = [signals_from_log(log_unseen, axis) for axis in axes]
+    estimates = [CompiledEstimator(axis).estimate(along) for axis, along in zip(axes, signals, strict=True)]
     used = _usable(machine, signals[0], estimates[0]) & _usable(extended_machine, signals[1], estimates[1])
     rate = machine.sampling.rate
     if used.sum() < rate:
@@ -153,7 +144,3 @@ def _blocks(values: Array, used: Mask) -> Array:
     """Sum over the used samples of each of `BLOCKS` pieces of equal time."""
     piece = np.minimum(np.arange(len(used)) * BLOCKS // max(1, len(used)), BLOCKS - 1)
     return np.asarray(np.bincount(piece[used], weights=values[used], minlength=BLOCKS), dtype=np.float64)
-
-
-def _half(progress: Progress, index: int) -> Progress:
-    return lambda done, total: progress(done + index * total, 2 * total)

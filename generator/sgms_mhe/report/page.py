@@ -30,37 +30,25 @@ from sgms_mhe.support.libraries import has_library
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Progress = Callable[[str, float], None]
-"""Called with (what is being done, share of the work done)."""
-
 _LOGGER: Final = logging.getLogger(__name__)
 _HERE: Final = Path(__file__).resolve().parent
 
 
-def write_report(
-    diagnosis: Diagnosis,
-    out_dir: str | Path,
-    *,
-    estimator: EstimatorGain | None = None,
-    progress: Progress | None = None,
-) -> Path:
+def write_report(diagnosis: Diagnosis, out_dir: str | Path, *, estimator: EstimatorGain | None = None) -> Path:
     """Write report.html, its figures as PNG where matplotlib is installed, and the extended machine file.
 
     Args:
         diagnosis: to be reported.
         out_dir: folder; made where it does not exist.
         estimator: gain of the estimator on another log (`closed_loop_gain`), where there is one.
-        progress: as `Progress`.
 
     Returns:
         Path of report.html.
     """
-    tell = progress or (lambda what, share: None)
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    tell("residuals", 0.0)
     with use_units(diagnosis.machine.plant.units):
-        return _written(diagnosis, folder, estimator, tell)
+        return _written(diagnosis, folder, estimator)
 
 
 def attempt_report(
@@ -102,7 +90,7 @@ def write_refusal_report(sentence: str, machine: Machine, log: Log, out_dir: str
         return _write_page(path, "refusal.html.jinja", page, drawn)
 
 
-def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None, tell: Progress) -> Path:
+def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None) -> Path:
     shown, rivals = views(diagnosis.traces), rivals_in_place(diagnosis)
     drawings: dict[str, Callable[[], Figure]] = {
         "measured.png": lambda: figures.measured_figure(diagnosis),
@@ -112,19 +100,15 @@ def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None
     }
     if not has_library("matplotlib"):  # the page draws for itself
         drawings.clear()
-    for k, (name, draw) in enumerate(drawings.items()):
-        tell(name, 0.1 + 0.7 * k / len(drawings))
+    for name, draw in drawings.items():
         save_figure(folder / name, draw())
     write_extended(diagnosis, folder)
-    tell("report.html", 0.8)
     # Last: where it is, everything that it links to is.
     page = content.page(diagnosis, folder, shown, rivals, estimator, list(drawings))
     drawn = plots(diagnosis, shown, rivals)
     if diagnosis.learned is not None:
         drawn |= learned_plots(diagnosis.learned)
-    path = _write_page(folder / "report.html", "report.html.jinja", page, drawn)
-    tell("report.html", 1.0)
-    return path
+    return _write_page(folder / "report.html", "report.html.jinja", page, drawn)
 
 
 def write_fleet_report(
