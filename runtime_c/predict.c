@@ -5,16 +5,6 @@
 #define SGMS_JOIN2(a, b) a##_##b
 #define SGMS_JOIN(a, b) SGMS_JOIN2(a, b)
 
-int sgms_predict_states(void)
-{
-    return STATES;
-}
-
-int sgms_predict_parameters(void)
-{
-    return PARAMETERS;
-}
-
 /* Force at one sample; d_force = C d_x + D. */
 static void put_force(
     const sgms_real *x,

@@ -19,7 +19,4 @@ int sgms_predict(
     double *force,
     double *d_force);
 
-int sgms_predict_states(void);
-int sgms_predict_parameters(void);
-
 #endif

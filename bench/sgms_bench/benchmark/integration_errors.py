@@ -12,7 +12,7 @@ from sgms_mhe.emission.package import Package
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.reference.linearised import Linearised
-from sgms_mhe.signals.chain import Signals
+from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
 from sgms_mhe.signals.logs import Log
 
 Array = NDArray[np.float64]
@@ -54,16 +54,21 @@ def emitted_errors(machine: Machine, package: Package, recording: SampledMotion)
             start = (first + k) * samples
             part = slice(start, start + samples + 1)
             signals = recording.signals.part(part)
-            x1, d_x1 = model.end(signals, x=x0, first=start)
-            columns = [
-                model.end(signals, x=x0, first=start, d_x=seed)[1] - d_x1
-                for seed in np.split(seeds, seeds.shape[1] // n_p, axis=1)
-            ]
+            w = signal_array(signals, sampling.step, start, mean_samples(machine))
+            x1, d_x1 = _end(model, w, x0, np.zeros((n_x, n_p)))
+            columns = [_end(model, w, x0, seed)[1] - d_x1 for seed in np.split(seeds, seeds.shape[1] // n_p, axis=1)]
             by_x = np.hstack(columns)[:, :n_x]
             exact = recording.exact[window]
             state.append(x1 - exact.x1[k])
             sensitivity += [d_x1 - exact.B[k], by_x - exact.A[k]]
     return largest_magnitude(*state), largest_magnitude(*sensitivity)
+
+
+def _end(model: CompiledModel, w: Array, x: Array, d_x: Array) -> tuple[Array, Array]:
+    """Node state at the last sample of signals w, and its derivatives in theta, from those at the first."""
+    state, sensitivity = np.array(x, dtype=np.float64), np.array(d_x, dtype=np.float64, order="C")
+    model.advance(w, np.ones(model.model.n_p), state, sensitivity, None, None)
+    return state, sensitivity
 
 
 def largest_magnitude(*differences: Array) -> float | None:

@@ -12,7 +12,7 @@ from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.recordings.series import row_means
-from sgms_mhe.signals.chain import Signals, settle_samples
+from sgms_mhe.signals.chain import Signals, mean_samples, settle_samples, signal_array
 
 Array = NDArray[np.float64]
 _RATE: Final = 500.0  # of projections
@@ -42,9 +42,11 @@ def visible_share(machine: Machine, columns: Array, force: Array, others: Array 
 
 def sensitivities(machine: Machine, plain: Signals) -> Array:
     """Derivatives of friction in the base model's numbers along a motion (n, k)."""
-    slopes = _model(machine).predict(plain, derivatives=True).d_friction
-    if slopes is None:
-        raise RuntimeError("a prediction without derivatives")
+    model = _model(machine)
+    n_x, n_p = model.model.n_x, model.model.n_p
+    w = signal_array(plain, model.machine.sampling.step, mean=mean_samples(model.machine))
+    friction, slopes = np.empty(len(plain)), np.empty((len(plain), n_p))
+    model.advance(w, np.ones(n_p), np.zeros(n_x), np.zeros((n_x, n_p)), friction, slopes)
     return slopes
 
 

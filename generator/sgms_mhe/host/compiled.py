@@ -54,19 +54,9 @@ class Replay:
 
 @dataclass(frozen=True)
 class Prediction:
-    """The model alone along a motion.
-
-    Attributes:
-        friction_N: (n).
-        d_friction: derivatives in the scaled parameters theta (n, n_p), None where not asked for.
-        x: node state at the last sample (n_x).
-        d_x: its derivatives in theta (n_x, n_p).
-    """
+    """The model alone along a motion: `friction_N` (n)."""
 
     friction_N: Array
-    d_friction: Array | None
-    x: Array
-    d_x: Array
 
 
 class CompiledModel:
@@ -84,25 +74,12 @@ class CompiledModel:
             package = package or cached_package(machine, self.model)
         self._library = load_library(_compile(package, (*DEFAULT_FLAGS, *wide_flags()), "predict.c"))
 
-    def predict(
-        self,
-        signals: Signals,
-        theta: Array | None = None,
-        *,
-        derivatives: bool = False,
-        x: Array | None = None,
-        d_x: Array | None = None,
-        first: int = 0,
-    ) -> Prediction:
-        """Run the model along the signals.
+    def predict(self, signals: Signals, theta: Array | None = None) -> Prediction:
+        """Run the model along the signals from relaxed elements on.
 
         Args:
             signals: n samples.
             theta: scaled parameters (n_p), 1 is nominal; None: nominal.
-            derivatives: also return d(friction)/d(theta).
-            x: node state at the first sample (n_x); None: zero.
-            d_x: its derivatives in theta (n_x, n_p); None: zero.
-            first: index of the first sample in its record, from which the model's time counts.
 
         Raises:
             InputError: the machine merges samples into steps.
@@ -114,44 +91,12 @@ class CompiledModel:
                 self.machine.sampling.integrator.substeps,
                 "at least one per sample to run the model alone",
             )
-        n, n_p = len(signals), self.model.n_p
-        force = np.empty(n)
-        slopes = np.empty((n, n_p)) if derivatives else None
-        state, sensitivity = self._run(signals, theta, x, d_x, first, force, slopes)
-        return Prediction(force, slopes, state, sensitivity)
-
-    def end(
-        self,
-        signals: Signals,
-        theta: Array | None = None,
-        *,
-        x: Array | None = None,
-        d_x: Array | None = None,
-        first: int = 0,
-    ) -> tuple[Array, Array]:
-        """Node state at the last sample (n_x) and its derivatives in theta (n_x, n_p); arguments as of `predict`.
-
-        From the first sample to the last there must be a whole number of integration steps.
-        """
-        return self._run(signals, theta, x, d_x, first, None, None)
-
-    def _run(
-        self,
-        signals: Signals,
-        theta: Array | None,
-        x: Array | None,
-        d_x: Array | None,
-        first: int,
-        force: Array | None,
-        slopes: Array | None,
-    ) -> tuple[Array, Array]:
         n_x, n_p = self.model.n_x, self.model.n_p
-        w = signal_array(signals, self.machine.sampling.step, first, mean_samples(self.machine))
+        w = signal_array(signals, self.machine.sampling.step, mean=mean_samples(self.machine))
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
-        state = np.zeros(n_x) if x is None else np.array(x, dtype=np.float64)
-        sensitivity = np.zeros((n_x, n_p)) if d_x is None else np.array(d_x, dtype=np.float64, order="C")
-        self.advance(w, values, state, sensitivity, force, slopes)
-        return state, sensitivity
+        friction = np.empty(len(signals))
+        self.advance(w, values, np.zeros(n_x), np.zeros((n_x, n_p)), friction, None)
+        return Prediction(friction)
 
     def advance(
         self, w: Array, theta: Array, state: Array, sensitivity: Array, force: Array | None, slopes: Array | None
