@@ -111,10 +111,11 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
 def _table(zeta: float, lambda_: float, precision: str) -> FlowTable:
     """Tables of a smoothing that they are for, whichever machine has it."""
     reach = _reach(lambda_, precision)
-    start, end = zeta - reach, zeta + reach
     degree = _DEGREE[precision]
     with localcontext(_CONTEXT):
         curve = _Curve(zeta, lambda_)
+        start = zeta - reach
+        end = max(zeta + reach, float(curve.r_star) + 2.0 * _NEAR / lambda_)  # what comes from below settles inside
         segments = math.ceil((end - start) / (_SEGMENT / lambda_))
         width = (Decimal(end) - Decimal(start)) / segments
         edges = [Decimal(start) + width * j for j in range(segments + 1)]
