@@ -93,18 +93,6 @@ class GroupView:
         """Return True if the propagation ahead takes linearly implicit steps below its gate, and the flow above."""
         return self.follows_flow and self.is_slider
 
-    def slow_count(self, most: str, speed: str) -> str:
-        """Number of Runge-Kutta steps below the gate, in C.
-
-        Args:
-            most: where blocks differ in it, the number at the gate.
-            speed: signed or not.
-        """
-        if self.slow_steps == 1 or (self.slow_steps and not self.paced):
-            return str(self.slow_steps)
-        number = f"{self.slow_steps}.0" if self.slow_steps else most
-        return f"sgms_flow_slow_steps({number}, {speed} * (1.0 / FLOW_GATE))" if self.paced else f"(int){number}"
-
     @property
     def step(self) -> str:
         """How a step is taken: by a clip, by the flow, by the flow at a level with states of its own, by substeps."""
