@@ -207,6 +207,17 @@ def test_returns_0_for_an_axis_of_known_colour(require_tool: Tool, tmp_path: Pat
     assert answer(require_tool("gcc"), folder, tmp_path, "-O1") == 0
 
 
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize(("zeta", "lambda_"), [(0.9, 150.0), (0.985, 233.0), (0.999, 300.0)])
+def test_returns_0_for_any_smoothing(
+    zeta: float, lambda_: float, precision: str, require_tool: Tool, tmp_path: Path
+) -> None:
+    """Its polynomials are as exact as the smoothing lets them be, and all is in the numbers of its precision."""
+    changes = {"friction": {"smoothing": {"zeta": zeta, "lambda": lambda_}}, "estimator": {"horizon": 3}}
+    folder = written(package_of(selftest=True, code={"precision": precision}, **changes), tmp_path)
+    assert answer(require_tool("gcc"), folder, tmp_path, *STRICT, "-O1") == 0
+
+
 @pytest.mark.parametrize("target", CORES)
 def test_returns_0_on_the_target(target: Target, tmp_path: Path) -> None:
     """Linked without a library, run by the emulator, in single precision throughout; its exit code is the answer."""
