@@ -233,6 +233,7 @@ def test_cpp_gives_what_the_c_gives(kind: str, compiler: str, bound: Any, requir
 # --- asking for them ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_bindings_come_where_they_are_asked_for(tmp_path: Path) -> None:
     path, out = tmp_path / "small.toml", tmp_path / "out"
     path.write_text(SMALL)

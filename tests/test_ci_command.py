@@ -76,6 +76,7 @@ def test_a_changed_file_and_a_changed_package_are_found(repository: Path, tmp_pa
     assert "1 files are not what the machine file gives (left_over.c)" in failure
 
 
+@pytest.mark.slow
 def test_an_amalgamated_package_is_compared_as_one(repository: Path, tmp_path: Path) -> None:
     machine = repository / "machines" / "small.toml"
     done("generate", machine, "--out", tmp_path / "small", "--amalgamate")
@@ -120,6 +121,7 @@ def test_an_fmu_that_another_compiler_made_is_the_same_package(repository: Path,
     assert "(MANIFEST.json, small_fmi3.fmu)" in package_check(repository, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_binding_that_is_not_what_the_file_gives_is_named(repository: Path, bound: Path, tmp_path: Path) -> None:
     shutil.copytree(bound / "small", tmp_path / "small")
     (tmp_path / "small" / "small.py").write_text("changed\n")

@@ -120,6 +120,7 @@ def quick(small: Path) -> dict[str, Any]:
     return result
 
 
+@pytest.mark.slow
 def test_bench_has_the_agreed_json(quick: dict[str, Any]) -> None:
     assert {"variants", "peers"} <= set(quick)
     assert {variant["precision"] for variant in quick["variants"]} == {"double", "single"}

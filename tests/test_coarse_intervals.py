@@ -79,6 +79,7 @@ def test_a_low_pass_is_judged_by_the_noise_behind_it(jitter: float, kept: bool) 
     assert rough_mass(found, [log]) == pytest.approx(2.0, rel=0.03)
 
 
+@pytest.mark.slow
 def test_other_lines_and_fewer_samples_widen_intervals() -> None:
     """By what they make of the numbers, and by nothing where neither changes the way of the elements."""
     axis = draw_coarse_axis(2, 6.0)

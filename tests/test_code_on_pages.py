@@ -194,6 +194,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", RUN)
 def test_commands_of_a_page_run(page: str, bench: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     asked = [shlex.split(line)[1:] for line in lines(page) if line.startswith("sgms-mhe ")]
@@ -209,6 +210,7 @@ def test_commands_of_a_page_run(page: str, bench: Path, monkeypatch: pytest.Monk
 # --- Python and C++ of the bindings ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_bindings_of_the_page(
     require_tool: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -196,6 +196,7 @@ def built(cmake: str, source: Path, build: Path, *options: str) -> str:
     return run(cmake, "--build", build)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_cmake_builds_installs_and_is_found(precision: str, require_tool: Tool, tmp_path: Path) -> None:
     """Without a warning; from another project as a folder, as an installed package, and by pkg-config."""
@@ -225,6 +226,7 @@ def test_cmake_builds_installs_and_is_found(precision: str, require_tool: Tool, 
     run(tmp_path / "program")
 
 
+@pytest.mark.slow
 def test_cmake_installs_nothing_of_a_folder_in_another_project(require_tool: Tool, tmp_path: Path) -> None:
     cmake, prefix = require_tool("cmake"), tmp_path / "prefix"
     folder = written(package_of("double"), tmp_path)
@@ -236,6 +238,7 @@ def test_cmake_installs_nothing_of_a_folder_in_another_project(require_tool: Too
     assert [path.relative_to(prefix).as_posix() for path in prefix.rglob("*") if path.is_file()] == ["bin/firmware"]
 
 
+@pytest.mark.slow
 def test_cmake_refuses_an_earlier_minor_version(require_tool: Tool, tmp_path: Path) -> None:
     cmake, prefix = require_tool("cmake"), tmp_path / "prefix"
     folder = written(package_of("double"), tmp_path)

@@ -48,6 +48,7 @@ def numbers(forces: list[str]) -> np.ndarray:
     return np.array([int(bits, 16) for bits in forces], dtype=np.uint32).view(np.float32)
 
 
+@pytest.mark.slow
 def test_bare_and_two_tasks_feed_the_same_forward(programs: Callable[[str], Program]) -> None:
     (bare, _), (tasks, _) = programs("bare")(), programs("two_tasks")()
     assert len(bare) == len(tasks) == UPDATES * SAMPLES + 1

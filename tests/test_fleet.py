@@ -120,6 +120,7 @@ def test_identify_needs_no_machine(tmp_path: Path) -> None:
 # --- running ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_row_once_failures_listed_and_nothing_done_twice(shop: Path, tmp_path: Path) -> None:
     rows = (*GOOD, "M,L/broken.csv,z,", "M,L/absent.csv,z,", "etel_xy,L/axis0.csv,w,", "absent.toml,L/axis0.csv,v,")
     path, out = table(shop, tmp_path, *rows), tmp_path / "out"
@@ -195,6 +196,7 @@ def test_copies_of_a_log_have_one_result_and_a_row_each(shop: Path, tmp_path: Pa
     assert len(list((tmp_path / "out" / "rows").iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_an_interrupt_loses_nothing_that_was_finished(shop: Path, tmp_path: Path) -> None:
     path, out = table(shop, tmp_path, *GOOD), tmp_path / "out"
     code = f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\nimport process_tasks\n"

@@ -494,6 +494,7 @@ def test_file_is_a_machine_that_every_command_takes(
     assert min(r["residual_rms_N"] for r in left) <= noise <= max(r["residual_rms_N"] for r in left)
 
 
+@pytest.mark.slow
 def test_order_of_logs_does_not_matter(
     identified: tuple[Path, dict[str, Any]], logs: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -11,6 +11,7 @@ from sgms_bench.logs.mutations import FORMS, check_logs, original
 from sgms_mhe.logfiles.reading import read_log
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", range(6))
 def test_no_log_trips_the_command_line(part: int) -> None:
     outcomes = check_logs(range(40 * part, 40 * (part + 1)), print)

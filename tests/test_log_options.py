@@ -75,6 +75,7 @@ def test_inspect_takes_what_the_file_leaves_open(way: str, bare: Path, tmp_path:
     assert (force["min"], force["max"]) == pytest.approx((log.force_N.min(), log.force_N.max()))
 
 
+@pytest.mark.slow
 def test_a_fleet_takes_them_for_all_its_rows(small: Path, bare: Path, tmp_path: Path) -> None:
     (tmp_path / "rows.csv").write_text("machine,log\nsmall.toml,bare.csv\n")
     done("fleet", "estimate", tmp_path / "rows.csv", *FLAGS, "--out", tmp_path / "fleet")
@@ -118,6 +119,7 @@ def test_a_log_that_grows_takes_a_rate(small: Path, tmp_path: Path) -> None:
     assert (tmp_path / "grown.csv").read_text() == (tmp_path / "whole.csv").read_text()
 
 
+@pytest.mark.slow
 def test_the_file_that_start_writes_reads_the_log_again(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     time = np.arange(8000) / 500.0

@@ -60,6 +60,7 @@ def test_a_motion_one_way_is_refused_where_no_element_has_a_level() -> None:
         identify([replace(log, velocity_m_s=None, friction_N=None)], Wanted("one_way"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 5])
 def test_a_run_up_of_one_torque_shows_no_inertia(seed: int) -> None:
     """Level, viscous friction and inertia are one curve there, and noise alone tells them apart: 40 to 76 % too low."""
@@ -68,6 +69,7 @@ def test_a_run_up_of_one_torque_shows_no_inertia(seed: int) -> None:
         identify([log], Wanted("one_way"))
 
 
+@pytest.mark.slow
 def test_a_motion_that_was_there_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a rotor that slides both ways a level that is not determined lacks no sliding in both directions."""
     log = relay_truth(np.random.default_rng(2)).log
@@ -85,6 +87,7 @@ def test_a_log_of_one_sample_a_second_is_refused() -> None:
         identify([slow], Wanted("slow"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [None, 3.0])
 def test_friction_alone_needs_no_mass(given: float | None) -> None:
     """The mass that force over acceleration shows is none there: its sign was called wrong."""

@@ -368,6 +368,7 @@ def test_column_named_twice_is_refused(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_log(path).force_N, [2, 2])
 
 
+@pytest.mark.slow
 def test_a_header_of_many_names_is_read_in_no_time(tmp_path: Path) -> None:
     names = ["time_s", "position_m", "force_N", *(f"channel_{k}" for k in range(20_000))]
     rows = [",".join([str(k)] * len(names)) for k in range(2)]

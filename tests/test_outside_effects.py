@@ -116,6 +116,7 @@ def test_example_without_its_distribution_is_unknown(site: Path, axis: Path) -> 
     assert refused.exit_code == 2 and NAME in refused.stderr and "force_ripple" in refused.stderr
 
 
+@pytest.mark.slow
 def test_example_is_simulated_generated_estimated_and_compared(example: Path, axis: Path, tmp_path: Path) -> None:
     log, package = tmp_path / "log.csv", tmp_path / "package"
     assert run("simulate", axis, "--out", log).exit_code == 0

@@ -80,6 +80,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 # --- bytes -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_same_machine_same_bytes(tmp_path: Path) -> None:
     """In this process twice, and in another with other hashes, another folder, another language."""
     script = (
@@ -929,6 +930,7 @@ def test_axis_at_rest_leaves_subnormal_numbers(
         assert met <= 2 * 128 and of_last == moving == 0, line
 
 
+@pytest.mark.slow
 def test_damaged_counts_of_the_chain_come_back(require_tool: Tool, tmp_path: Path) -> None:
     """A bit of its memory that has flipped takes no measurement for longer than the filters settle."""
     folder = written(emit_package(machine(), selftest=False), tmp_path)

@@ -155,6 +155,7 @@ def test_skip_fails_a_ci_session_unless_allowed(
         result.stdout.no_fnmatch_line(listed)
 
 
+@pytest.mark.slow
 def test_skip_of_a_whole_module_fails_a_ci_session(
     repo_root: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -159,6 +159,7 @@ def test_a_number_of_workers_that_is_none_is_refused(stated: str, monkeypatch: p
         workers()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("work", ["diagnose", "identify"])
 def test_linear_algebra_has_one_thread_whatever_the_host_has(work: str, machine: Machine, log: Log) -> None:
     seen: list[int] = []

@@ -158,6 +158,7 @@ def test_runs_of_one_direction_each_are_told_by_all_together() -> None:
 # --- what is left of the logs, for the estimator ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_estimator_is_quiet_on_the_logs_that_made_it_and_loud_on_another_axis() -> None:
     """A force that nothing explains, 0.2 N m over 0.5 s, colours what is left: that is no news of the axis."""
     rate = 250.0
