@@ -131,9 +131,18 @@ def test_gravity_is_identified_with_inertia_and_friction(arm: Arm, seed: int) ->
 
 
 @pytest.mark.slow
-def test_friction_that_the_load_raises() -> None:
+def test_friction_that_the_load_raises(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dry friction is judged without effects of its level: they hold the direction of motion, as elements do."""
+    seen: list[list[str]] = []
+
+    def note(view: RecordView, terms: Sequence[Term], start: Shape, *, iterations: int) -> AxisFit:
+        seen.append([term.name for term in terms])
+        return fit_axis(view, terms, start, iterations=iterations)
+
+    monkeypatch.setattr(description, "fit_axis", note)
     arm = Arm(load=0.12)
     found = identify([arm.log(1)], Wanted("arm", elements=2))
+    assert "unbalance" in seen[0] and "load_dependent_friction" not in seen[0]
     within(found, "mass", arm.inertia)  # which steps of the encoder made a quarter too small
     within(found, "unbalance.amplitude_N", arm.gravity)
     within(found, "coulomb", arm.level)
@@ -331,21 +340,6 @@ def test_an_effect_beyond_its_limits_stands_for_something_else(ratio: float, sta
     term = Term("load_dependent_friction", np.ones((3, 1)), positive=True)
     assert is_within_limits(term, np.array([ratio])) == stated
     assert is_within_limits(Term("viscous", np.ones((3, 1))), np.array([1e9]))
-
-
-@pytest.mark.slow
-def test_dry_friction_is_judged_without_effects_of_its_level(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They hold the direction of motion, as elements do: with them a log of friction alone would show none."""
-    seen: list[list[str]] = []
-
-    def note(view: RecordView, terms: Sequence[Term], start: Shape, *, iterations: int) -> AxisFit:
-        seen.append([term.name for term in terms])
-        return fit_axis(view, terms, start, iterations=iterations)
-
-    monkeypatch.setattr(description, "fit_axis", note)
-    found = identify([Arm(load=0.12).log(1)], Wanted("arm", elements=2))
-    assert any(number.name.startswith("load_dependent_friction.") for number in found.numbers)
-    assert "unbalance" in seen[0] and "load_dependent_friction" not in seen[0]
 
 
 @pytest.mark.slow
