@@ -158,7 +158,7 @@ def test_clean_record_at_a_low_rate_names_nothing(quick: Machine, slow: Machine,
     # The second difference of sparse samples loses a share of a hard acceleration: that is no cause.
     path = make_trajectory("mixed", quick.sampling.rate, duration_s=SECONDS, max_velocity=speed)
     diagnosis = diagnose(slow, every_tenth(recorded(quick, path=path)))
-    assert (diagnosis.verdict, names(diagnosis)) == ("adequate", set())
+    assert (diagnosis.verdict, names(diagnosis), diagnosis.learned) == ("adequate", set(), None)
 
 
 def with_gaps(log: Log) -> tuple[Log, int]:

@@ -241,8 +241,6 @@ def test_a_learned_residual_is_in_the_document_and_on_the_page(tmp_path: Path) -
 def test_what_can_be_learned_is_not_explained(monkeypatch: pytest.MonkeyPatch) -> None:
     path = make_trajectory("mixed", 1000.0, duration_s=10.0, max_velocity=0.2)
     log = simulate_axis(machine(), path, AxisConfig(seed=2, force_noise_N=NOISE_N)).log
-    found = diagnose(machine(), log)
-    assert (found.verdict, found.learned) == ("adequate", None)
     asked: list[float] = []
 
     def learn_curve(recording: Recording, full: Array, blind: Array, *, floor: float, material: float) -> Learned:
