@@ -211,5 +211,12 @@ FAULTS: Final = (
         "self->sweep.start + slot_before(self, back) * TRIANGLE_SIZE",
     ),
     Fault("a number of another sign than itself", "sgms_math.h", "^ sgms_bits(b)) >= 0", "^ sgms_bits(b)) > 0"),
+    Fault("a term of 2^x left out", "sgms_math.h", "    p = p * f + 1.5309737294734561e-5;\n", ""),
+    Fault(
+        "terms of the flow ahead in the other order",
+        "_flow.h",
+        "value = value * t + c[6];\n    value = value * t + c[5];",
+        "value = value * t + c[5];\n    value = value * t + c[6];",
+    ),
 )
 """Of `etel_xy`; all of them compile."""
