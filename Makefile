@@ -112,6 +112,7 @@ studies: $(STAMP) ## statistics: coverage, Monte Carlo against EKF and smoother,
 
 faults: $(STAMP) ## broken sensors in good logs: what each does to the estimate, worst of twenty; a few minutes
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_bench.studies faults
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_bench.studies lost
 
 lasting: $(STAMP) ## errors of the model that stay: how often the truth is beyond the stated deviations; half an hour, SEEDS=1: two minutes
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_bench.studies lasting $(if $(SEEDS),--runs $(SEEDS))

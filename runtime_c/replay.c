@@ -81,7 +81,7 @@ static machine_real one_sample(machine *self, const sgms_series *series, long k)
             .acceleration = (machine_real)series->acceleration[k],
             .force = (machine_real)series->force[k],
             .friction = (machine_real)series->friction[k],
-            .valid = series->valid[k],
+            .valid = (machine_real)series->valid[k],
             .delay = (machine_real)series->delay};
         return CALL(insert)(self, &signals);
     }

@@ -15,7 +15,7 @@ typedef struct {
     const double *velocity;     /* m/s, aligned */
     const double *acceleration; /* m/s^2, aligned */
     const double *friction;     /* N, aligned */
-    const unsigned char *valid; /* whether friction is a measurement */
+    const double *valid;        /* 1 over the factor on friction's noise, 0: it is no measurement */
     double delay;               /* s, that aligned signals are behind their samples */
 } sgms_series;
 

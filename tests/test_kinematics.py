@@ -15,6 +15,7 @@ from scipy.signal import butter
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import (
+    UNKNOWN,
     Signals,
     chain_delay,
     lowpass_coefficients,
@@ -179,28 +180,45 @@ def twin_chain(log: Log, machine: Machine) -> Signals:
     finite_q = log.position_m[np.isfinite(log.position_m)]
     finite_u = log.force_N[np.isfinite(log.force_N)]
     q_first, u_first = float(finite_q[0]), float(finite_u[0])
-    known, gap, since = False, 0, settle
-    q_old, d, u_old, u_now = q_first, 0.0, u_first, u_first
+    q_old, d, u_old, u_now, u_in = q_first, 0.0, u_first, u_first, u_first
+    q_known = u_known = False
+    q_gap = u_gap = clean = 0
     rows = np.zeros((n, 3))  # delayed position, difference, delayed force
-    valid, missing = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    for k in range(n):
-        q, u = log.position_m[k], log.force_N[k]
-        missing[k] = not (np.isfinite(q) and np.isfinite(u))
-        if np.isfinite(q):
-            if not known or gap > settle:
-                q_old = q
-            d, known, gap = q - q_old, True, 0
-        else:
-            gap += 1
-            q = q_old + d if known else q_first
-        u_old, u_now = u_now, (u if np.isfinite(u) else u_now)
-        rows[k] = q_old, d, u_old
-        q_old = q
-        since = 0 if missing[k] else since + 1
-        valid[k] = since > settle and k >= settle
+    error, missing = np.full(n, UNKNOWN), np.zeros(n, dtype=bool)
+    fading, left = 0.01 ** (1.0 / settle), UNKNOWN
 
     def lowpass(signal: Array) -> Array:
         return twin_lowpass(lowpass_coefficients(machine), signal)
+
+    for k in range(n):
+        q, u = log.position_m[k], log.force_N[k]
+        missing[k] = not (np.isfinite(q) and np.isfinite(u))
+        left = 0.0 if clean >= settle else left
+        restarts = False
+        if np.isfinite(q):
+            if not q_known or q_gap > settle:
+                q_old, restarts = q, True
+            d, q_known, q_gap = q - q_old, True, 0
+        else:
+            q_gap += 1
+            if q_known and q_gap <= settle + 1:
+                once = lowpass(rows[:k, 1])
+                d += once[-1] - (once[-2] if k > 1 else 0.0)
+            q = q_old + d if q_known else q_first
+        u_old = u_in
+        if np.isfinite(u):
+            restarts = restarts or not u_known or u_gap > settle
+            u_in = u + (u - u_now) * u_gap / 2.0 if u_known and u_gap <= settle else u
+            u_now, u_known, u_gap = u, True, 0
+        else:
+            u_gap += 1
+            u_in = u_now
+        rows[k] = q_old, d, u_old
+        q_old = q
+        clean = 0 if missing[k] else clean + 1
+        place = min(max(q_gap, u_gap), settle + 1)
+        left = fading * (UNKNOWN if restarts else left) + 2.0 * (1.0 - fading) * place**2
+        error[k] = left if q_known and u_known else UNKNOWN
 
     once = lowpass(rows[:, 1] * rate)
     late = np.r_[0.0, once[:-1]]
@@ -208,7 +226,9 @@ def twin_chain(log: Log, machine: Machine) -> Signals:
     force = u_first + lowpass(lowpass(rows[:, 2] - u_first))
     position = rows[0, 0] + lowpass(lowpass(rows[:, 0] - rows[0, 0]))
     friction = force - machine.plant.moved * acceleration
-    return Signals(log.time_s, position, lowpass(late), acceleration, force, friction, valid, missing)
+    valid = error <= 3.0
+    noise = np.sqrt(1.0 + np.where(valid, error, 0.0) ** 2)
+    return Signals(log.time_s, position, lowpass(late), acceleration, force, friction, valid, missing, noise=noise)
 
 
 def assert_same(one: Signals, other: Signals) -> None:
@@ -220,6 +240,7 @@ def assert_same(one: Signals, other: Signals) -> None:
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15 * scale, err_msg=name)
     np.testing.assert_array_equal(one.missing, other.missing)
     np.testing.assert_array_equal(one.valid, other.valid)
+    np.testing.assert_allclose(one.certainty, other.certainty, rtol=1e-12)
 
 
 gaps = st.lists(st.tuples(st.integers(0, 259), st.integers(1, 2 * SETTLE)), max_size=6)
@@ -301,13 +322,46 @@ def test_force_holds_through_a_gap() -> None:
 
 @pytest.mark.parametrize("channel", ["position_m", "force_N"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_friction_is_invalid_at_a_missing_sample_and_while_it_rings(channel: str, value: float) -> None:
+def test_missing_sample_is_bridged_and_makes_friction_noisier_while_it_rings(channel: str, value: float) -> None:
     log = noisy_log(300)
     getattr(log, channel)[100] = value
     signals = signals_from_log(log, MACHINE)
+    assert signals.noise is not None
     k = np.arange(300)
     np.testing.assert_array_equal(signals.missing, k == 100)
-    np.testing.assert_array_equal(signals.valid, (k >= SETTLE) & ~((k >= 100) & (k <= 100 + SETTLE)))
+    np.testing.assert_array_equal(signals.valid, k >= SETTLE)
+    np.testing.assert_array_equal(signals.noise > 1.0, (k >= 100) & (k <= 100 + SETTLE))
+    assert (np.diff(signals.noise[100 : 101 + SETTLE]) < 0.0).all() and signals.noise[100] < 1.1
+
+
+def lossy(log: Log, starts: NDArray[np.int64], length: int) -> Log:
+    """The log without so many samples from each start on."""
+    at = (starts[:, None] + np.arange(length)).ravel()
+    log.position_m[at], log.force_N[at] = np.nan, np.nan
+    return log
+
+
+@pytest.mark.parametrize(("share", "used"), [(0.1, 0.99), (0.3, 0.85)])
+def test_samples_lost_at_random_leave_friction_that_is_measured(share: float, used: float) -> None:
+    starts = 100 + np.flatnonzero(np.random.default_rng(3).random(2800) < share)
+    signals, whole = (
+        signals_from_log(lossy(pure_mass(3000), starts, 1), MACHINE),
+        signals_from_log(pure_mass(3000), MACHINE),
+    )
+    assert signals.valid[SETTLE:].mean() > used
+    # Of a force up to 10 N that inertia takes whole.
+    error = ((signals.friction - whole.friction) * signals.certainty)[signals.valid]
+    assert np.sqrt(np.mean(error**2)) < 2e-3 * np.abs(whole.force).max()
+
+
+def test_burst_spoils_friction_the_longer_the_longer_it_is() -> None:
+    def count_lost(length: int) -> int:
+        return int((~signals_from_log(lossy(noisy_log(300), np.array([100]), length), MACHINE).valid[SETTLE:]).sum())
+
+    lost = [count_lost(length) for length in (1, 2, 3, 5, 10, 20, SETTLE)]
+    assert lost[:2] == [0, 0] and lost == sorted(lost)
+    assert lost[2] < 5 < lost[3] < 15 and lost[-1] > SETTLE
+    assert count_lost(2 * SETTLE) > 3 * SETTLE - 10
 
 
 def test_before_the_first_good_sample_the_axis_stands() -> None:

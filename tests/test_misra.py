@@ -36,7 +36,7 @@ def test_hits_are_found(package: Package, require_tool: Tool) -> None:
     file = f"{package.machine.name}.c"
     spoilt, expected = package.files[file], set()
     for good, bad, rule in (
-        ("const bool measured = ", "const int measured = ", "10.3"),
+        ("const bool good = ", "const int good = ", "10.3"),
         ("version % 2u == 0u", "version % 2 == 0", "10.4"),
         ("if ((status & SPECIMEN_MERGED_AUTO_STALE) != 0)", "if (status & SPECIMEN_MERGED_AUTO_STALE)", "14.4"),
     ):

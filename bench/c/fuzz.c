@@ -75,7 +75,7 @@ static void take_signals(bytes *from, machine_signals *signals)
     signals->acceleration = take_real(from);
     signals->force = take_real(from);
     signals->friction = take_real(from);
-    signals->valid = (int)take_bits(from);
+    signals->valid = take_real(from);
     signals->delay = take_real(from);
 }
 

@@ -96,11 +96,12 @@ void probe_chain(
     double mass,
     double step,
     int settle,
+    double fading,
     int wanted,
     const sgms_position *position,
     const sgms_real *force,
     sgms_real *out,
-    int *valid)
+    sgms_real *valid)
 {
     const sgms_chain chain = {
         .lowpass =
@@ -112,10 +113,11 @@ void probe_chain(
         .rate = (sgms_real)rate,
         .step = (sgms_position)(SGMS_SINGLE ? step * 1e12 + 0.5 : step),
         .settle = settle,
-        .wanted = wanted};
+        .wanted = wanted,
+        .fading = (sgms_real)fading};
     sgms_position positions[2] = {0, 0};
     sgms_real states[SGMS_FILTER_STATES] = {0}, last[SGMS_FILTER_LAST] = {0};
-    int32_t counts[SGMS_FILTER_COUNTS] = {0, 0, 0};
+    int32_t counts[SGMS_FILTER_COUNTS] = {0};
     const sgms_filter_memory memory = {
         .position = positions, .lowpass = states, .last = last, .counts = counts, .mass = (sgms_real)mass};
     for (long k = 0; k < n; k++) {

@@ -3,10 +3,10 @@
 `coverage` draws data from the estimator's own noise model, `plant` asks the same of the axis in closed loop,
 `monte-carlo` compares MHE, EKF and batch smoother over random axes, `creep` follows the parameters over 10^5 updates,
 `readings` asks what more friction measurements per second gain, `relinearise` what it costs to keep linearisations,
-`faults` puts broken sensors into good logs, `lasting` gives the axis what its machine file has not, `tracking` feeds
-friction forward on such an axis, `speed` asks what fast moves cost the integrators, `identify` draws axes and
-identifies each from its log alone, `coarse` the same behind coarse encoders, with gravity, on short moves.
-`others` takes joints of MuJoCo and of better-actuator-models as axes: identified, diagnosed, compensated.
+`faults` puts broken sensors into good logs, `lost` takes samples out of them, `lasting` gives the axis what its machine
+file has not, `tracking` feeds friction forward on such an axis, `speed` asks what fast moves cost the integrators,
+`identify` draws axes and identifies each from its log alone, `coarse` the same behind coarse encoders, with gravity, on
+short moves. `others` takes joints of MuJoCo and of better-actuator-models as axes: identified, diagnosed, compensated.
 `scaling` says what a task costs in 1 to 8 processes. All numbers are seeded; the same command prints the same table,
 wherever it runs, but for times.
 """
@@ -26,6 +26,7 @@ from sgms_bench.studies.faults import faults_study
 from sgms_bench.studies.identification import identification_study
 from sgms_bench.studies.lasting import lasting_study
 from sgms_bench.studies.lasting_figure import lasting_figure
+from sgms_bench.studies.lost import lost_study
 from sgms_bench.studies.monte_carlo import monte_carlo_study
 from sgms_bench.studies.others import AXES, others_study
 from sgms_bench.studies.plant import plant_study
@@ -49,6 +50,7 @@ STUDIES: Final[Mapping[str, tuple[Study, int, int]]] = {
     "relinearise": (lambda runs, updates, place: relinearise_study(runs, updates / 100.0, place), 10, 800),
     "readings": (lambda runs, updates, place: readings_study(runs, updates / 100.0, place), 6, 2000),
     "faults": (lambda runs, updates, place: faults_study(runs, place), 20, 1800),
+    "lost": (lambda runs, updates, place: lost_study(runs, place), 10, 1800),
     "lasting": (lambda runs, updates, place: lasting_study(runs, updates / 100.0, place), 20, 2000),
     "tracking": (lambda runs, updates, place: tracking_study(updates / 100.0, place), 1, 600),
     "identify": (lambda runs, updates, place: identification_study(runs, updates / 100.0, place=place), 40, 2500),

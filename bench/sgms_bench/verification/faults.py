@@ -83,8 +83,21 @@ FAULTS: Final = (
     Fault(
         "measurements valid in a gap",
         "sgms_filter.h",
-        "        out.valid = 0;\n",
-        "        out.valid = m->counts[0] == 3 && m->counts[2] == 0;\n",
+        "m->counts[0] == 3 && *error <= SGMS_MOST_BRIDGED",
+        "m->counts[0] == 3",
+    ),
+    Fault("bridged samples count as measured", "sgms_filter.h", "+ *error * *error)", ")"),
+    Fault(
+        "impulse over a gap lost",
+        "sgms_filter.h",
+        "*force += (*force - before) * (SGMS_R(0.5) * (sgms_real)m->counts[3]);",
+        "*force += SGMS_R(0.0) * before;",
+    ),
+    Fault(
+        "gap crossed at constant speed",
+        "sgms_filter.h",
+        "m->position[1], sgms_position_from(m->last[4] / chain->rate));",
+        "m->position[1], sgms_position_from(SGMS_R(0.0)));",
     ),
     Fault(
         "sign of the inertial force",

@@ -23,7 +23,7 @@ from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Status, Variant, statuses_of, variant_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model
-from sgms_mhe.signals.chain import lowpass_coefficients, mean_samples, settle_samples
+from sgms_mhe.signals.chain import bridge_fading, lowpass_coefficients, mean_samples, settle_samples
 
 MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
@@ -103,6 +103,7 @@ class SignalView:
     Attributes:
         mass_in_model: it stands in the model's equations, and not in the signal chain alone.
         settle: samples that a disturbance of the filters lasts.
+        fading: of the error that bridged samples leave, per sample.
         lowpass: (b0, b1, b2, a1, a2).
         slope_weights: of each of the merged samples in the slope of the line through them.
         read: names of the signals that the estimator depends on, in the order of w.
@@ -116,6 +117,7 @@ class SignalView:
 
     mass_in_model: bool
     settle: int
+    fading: float
     lowpass: tuple[float, ...]
     slope_weights: tuple[float, ...]
     read: tuple[str, ...]
@@ -272,6 +274,7 @@ def _signals(structure: Structure) -> SignalView:
     return SignalView(
         mass_in_model=structure.model.reads_mass,
         settle=settle_samples(machine),
+        fading=bridge_fading(settle_samples(machine)),
         lowpass=lowpass_coefficients(machine),
         slope_weights=tuple(3.0 / (merged * merged - 1.0) * (2.0 * places + 1.0 - merged)) if merged > 1 else (),
         read=read,

@@ -191,10 +191,7 @@ class CompiledEstimator:
         rows = np.zeros((total + 1, self._columns))
         status = np.zeros(total + 1, dtype=np.int32)
         compensation = np.zeros(samples)
-        held = {
-            name: np.ascontiguousarray(a, dtype=np.uint8 if name == "valid" else np.float64)
-            for name, a in _arrays(piece).items()
-        }
+        held = {name: np.ascontiguousarray(a, dtype=np.float64) for name, a in _arrays(piece).items()}
         done = 0
         chunk = max(samples, 1) if progress is None else _CHUNK * self._samples
         for first in range(0, samples, chunk):
@@ -277,7 +274,7 @@ def _arrays(signals: Log | Signals) -> dict[str, AnyArray]:
         "velocity": signals.velocity,
         "acceleration": signals.acceleration,
         "friction": signals.friction,
-        "valid": signals.valid,
+        "valid": signals.certainty,
     }
 
 

@@ -156,6 +156,7 @@ class NodeRecord:
 
     sigma_x (updates, n_x): state noise of each interval, node state units.
     Measurements y, valid: at the nodes 0 .. updates; inner_y, inner_valid (updates, R - 1): inside of the intervals.
+    noise, inner_noise: factors on their stated deviations, by samples that the chain has bridged.
     """
 
     def __init__(
@@ -186,6 +187,9 @@ class NodeRecord:
         self.inner_y: Array = signals.friction[after].reshape(self.updates, samples)[inside]
         valid = signals.valid[after].reshape(self.updates, samples)[inside]
         self.inner_valid: Mask = valid & np.isfinite(self.inner_y)
+        noise = np.ones(len(signals)) if signals.noise is None else signals.noise
+        self.noise: Array = noise[nodes]
+        self.inner_noise: Array = noise[after].reshape(self.updates, samples)[inside]
 
     @property
     def first(self) -> Gaussian:

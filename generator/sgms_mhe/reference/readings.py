@@ -87,9 +87,13 @@ class Scaling:
 
 
 def take_reading(
-    belief: Gaussian, C: Array, innovation: float, sigma: float, scaling: Scaling
+    belief: Gaussian, C: Array, innovation: float, stated: float, scaling: Scaling, noise: float = 1.0
 ) -> tuple[Gaussian, MeasurementResult]:
-    """Fold a scalar measurement, C (n,) its sensitivity, with the noise that its innovation asks for."""
+    """Fold a scalar measurement, C (n,) its sensitivity, with the noise that its innovation asks for.
+
+    `noise`: factor on the stated deviation before that is known.
+    """
+    sigma = noise * stated
     spread = float(C @ belief.covariance @ C)
     predicted = spread + sigma**2
     test_ratio = innovation**2 / predicted
@@ -99,7 +103,7 @@ def take_reading(
     # The variance of the measurement at which the innovation's is `need` times the predicted one.
     variance = sigma**2 + (need - 1.0) * predicted
     return fold(belief, C, innovation, variance), MeasurementResult(
-        innovation, test_ratio, float(np.sqrt(variance)) / sigma
+        innovation, test_ratio, float(np.sqrt(variance)) / stated
     )
 
 

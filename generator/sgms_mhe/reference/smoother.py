@@ -102,6 +102,7 @@ def _linearise(record: NodeRecord, x: Array, theta: Array) -> _SmootherProblem:
     weights = record.weights
     n_x, n_p, nodes = record.model.n_x, record.model.n_p, record.updates + 1
     valid = np.flatnonzero(record.valid)
+    sigma, inner_sigma = weights.sigma_y * record.noise, weights.sigma_y * record.inner_noise
     with np.errstate(all="ignore"):
         intervals = record.integrator.intervals(record.plan, 0, x[:-1], theta)
         outputs = record.integrator.outputs(x, record.w, theta)
@@ -109,8 +110,8 @@ def _linearise(record: NodeRecord, x: Array, theta: Array) -> _SmootherProblem:
             [
                 x[0] / weights.initial_state,
                 (theta - 1.0) / weights.parameter,
-                (outputs.y - record.y)[valid] / weights.sigma_y,
-                (intervals.inner.y - record.inner_y)[record.inner_valid] / weights.sigma_y,
+                ((outputs.y - record.y) / sigma)[valid],
+                ((intervals.inner.y - record.inner_y) / inner_sigma)[record.inner_valid],
                 ((x[1:] - intervals.x1) / record.sigma_x).ravel(),
             ]
         )
@@ -118,9 +119,9 @@ def _linearise(record: NodeRecord, x: Array, theta: Array) -> _SmootherProblem:
         return _SmootherProblem(np.inf, csc_matrix((0, 0)), np.empty((0, n_p)), r)
     width = nodes * n_x
     first = csc_matrix((1.0 / weights.initial_state, (np.arange(n_x), np.arange(n_x))), shape=(n_x, width))
-    measured = _block_diagonal(outputs.C[:, None, :] / weights.sigma_y, width)[valid]
+    measured = _block_diagonal((outputs.C / sigma[:, None])[:, None, :], width)[valid]
     # Measurements inside an interval see the node where it starts.
-    inner = _block_diagonal(intervals.inner.C / weights.sigma_y, width)[record.inner_valid.ravel()]
+    inner = _block_diagonal(intervals.inner.C / inner_sigma[:, :, None], width)[record.inner_valid.ravel()]
     scale = 1.0 / record.sigma_x.ravel()
     ends = csr_matrix((scale, (np.arange(width - n_x), np.arange(n_x, width))), shape=(width - n_x, width))
     defects = ends - _block_diagonal(intervals.A / record.sigma_x[:, :, None], width)
@@ -129,8 +130,8 @@ def _linearise(record: NodeRecord, x: Array, theta: Array) -> _SmootherProblem:
         [
             np.zeros((n_x, n_p)),
             np.diag(1.0 / weights.parameter),
-            outputs.D[valid] / weights.sigma_y,
-            intervals.inner.D[record.inner_valid] / weights.sigma_y,
+            (outputs.D / sigma[:, None])[valid],
+            (intervals.inner.D / inner_sigma[:, :, None])[record.inner_valid],
             -(intervals.B / record.sigma_x[:, :, None]).reshape(-1, n_p),
         ]
     )

@@ -105,7 +105,7 @@ def take_interval(record: NodeRecord, window: Window, belief: Gaussian, scaling:
     for r in np.flatnonzero(record.inner_valid[k]):
         C = np.concatenate([inner.C[0, r], inner.D[0, r]])
         innovation = float(record.inner_y[k, r] - inner.y[0, r] - C @ (belief.mean - point))
-        belief, reading = take_reading(belief, C, innovation, weights.sigma_y, scaling)
+        belief, reading = take_reading(belief, C, innovation, weights.sigma_y, scaling, record.inner_noise[k, r])
         inner_scales[r] = reading.scale
         readings.append(reading)
     growth = weights.drift_variance(np.diag(belief.covariance)[n_x:], drift)
@@ -117,7 +117,7 @@ def take_interval(record: NodeRecord, window: Window, belief: Gaussian, scaling:
         C = np.concatenate([window.outputs.C[1], window.outputs.D[1]])
         image = np.concatenate([window.intervals.x1[0], window.theta])
         innovation = float(record.y[k + 1] - window.outputs.y[1] - C @ (belief.mean - image))
-        belief, reading = take_reading(belief, C, innovation, weights.sigma_y, scaling)
+        belief, reading = take_reading(belief, C, innovation, weights.sigma_y, scaling, record.noise[k + 1])
         end_scale = reading.scale
         readings.append(reading)
     return Taken(belief, tuple(readings), inner_scales, end_scale)

@@ -32,6 +32,11 @@ BACK_S = 0.02
 LARGEST_SIGNAL = 1e9
 """A position, or any other channel [N, m/s, m/s^2], at or beyond these is no measurement: it counts as missing."""
 
+UNKNOWN = 1000.0
+"""Error of friction over its stated noise where the filters know nothing."""
+MOST_BRIDGED = 3.0
+"""Largest error of a measurement by bridged samples, over the stated noise: it has a tenth of its information."""
+
 
 @dataclass(frozen=True)
 class Signals:
@@ -39,7 +44,7 @@ class Signals:
 
     time of the sample [s], position [m], velocity [m/s], acceleration [m/s^2], force [N], friction [N]; `valid`:
     friction may be used as a measurement; `missing`: a recorded channel had no finite value. `delay`: how far they are
-    behind the sample [s]; what they tell of was at time - delay.
+    behind the sample [s]; what they tell of was at time - delay. `noise`: factor on friction's stated deviation, >= 1.
     """
 
     time: Array
@@ -51,9 +56,15 @@ class Signals:
     valid: Mask
     missing: Mask
     delay: float = 0.0
+    noise: Array | None = None
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def certainty(self) -> Array:
+        """1 / noise where friction is valid, 0 elsewhere (n)."""
+        return self.valid / (np.ones(len(self)) if self.noise is None else self.noise)
 
     def part(self, which: slice | Index) -> Signals:
         """Some of the samples, with the delay of all of them."""
@@ -107,20 +118,16 @@ class Chain:
         self._bases: dict[str, float] = {}
         self._held: dict[str, float] = {}
         self._before: dict[str, float] = {}
-        self._place: _Place | None = None
-        self._since, self._taken = _NEVER, 0
+        self._bridge = _Bridge(self._settle, machine.sampling.position_step, self._coefficients)
+        self._since = 0
 
     def take(self, log: Log) -> Signals:
         """Return the signals of the samples that follow; of the same columns throughout."""
         rate = self._machine.sampling.rate
         log = _within_limits(log)
         missing = _missing(log)
-        force = self._hold("force", log.force_N)
-        position, delayed_position, difference, self._place = _continue(
-            log.position_m, self._settle, self._machine.sampling.position_step, self._place
-        )
+        position, delayed_position, difference, force, error = self._bridge.take(log.position_m, log.force_N)
         since = self._samples_since(missing)
-        self._taken += len(log)
 
         if log.velocity_m_s is not None and log.friction_N is not None:
             velocity = self._hold("velocity", log.velocity_m_s, 0.0)
@@ -128,7 +135,7 @@ class Chain:
                 acceleration = (velocity - self._delay("velocity", velocity, float(velocity[0]))) * rate
             else:
                 acceleration = self._hold("acceleration", log.acceleration_m_s2, 0.0)
-            friction = self._hold("friction", log.friction_N, 0.0)
+            force, friction = self._hold("force", log.force_N), self._hold("friction", log.friction_N, 0.0)
             return Signals(log.time_s, position, velocity, acceleration, force, friction, ~missing, missing)
 
         given = log.velocity_m_s
@@ -146,10 +153,12 @@ class Chain:
             friction = force - self._machine.plant.moved * acceleration
         else:
             friction = self._behind("friction", self._hold("friction", log.friction_N, 0.0))
-        valid = since > self._settle
-        valid[: max(0, self._settle - (self._taken - len(log)))] = False
+        if given is not None or log.acceleration_m_s2 is not None or log.friction_N is not None:
+            error = np.where(since > self._settle, 0.0, UNKNOWN)
+        valid = error <= MOST_BRIDGED
+        noise = np.hypot(1.0, np.where(valid, error, 0.0))
         delay = chain_delay(self._machine)
-        return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing, delay)
+        return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing, delay, noise)
 
     def _hold(self, name: str, signal: Array, before: float | None = None) -> Array:
         """Hold the last finite value; `before` the first one, or that one itself."""
@@ -179,9 +188,8 @@ class Chain:
     def _samples_since(self, missing: Mask) -> Index:
         """Samples since the last one that was missing, in this piece or before it."""
         since = _samples_since(missing)
-        if self._since != _NEVER:
-            before = since == _NEVER
-            since[before] = self._since + 1 + np.flatnonzero(before)
+        before = since == _NEVER
+        since[before] = self._since + 1 + np.flatnonzero(before)
         self._since = int(since[-1])
         return since
 
@@ -310,6 +318,11 @@ def _cubic(at: Index, good: Index, values: Array) -> Array:
     return np.asarray(values[left] + t * (start + t * (second + t * third)))
 
 
+def bridge_fading(settle: int) -> float:
+    """Factor per sample on the error that bridged samples leave: to `SETTLE_TOLERANCE` while the filters settle."""
+    return float(SETTLE_TOLERANCE ** (1.0 / max(1, settle)))
+
+
 def _coefficients(cutoff: float) -> tuple[float, float, float, float, float]:
     warped = math.tan(math.pi * cutoff)
     scale = 1.0 / (1.0 + math.sqrt(2.0) * warped + warped * warped)
@@ -363,41 +376,84 @@ def _hold(signal: Array, before: float | None = None) -> Array:
     return np.where(last >= 0, signal[last], start)
 
 
-@dataclass(frozen=True)
-class _Place:
-    """The last sample of a piece: its position and raw difference [m], and how many were missing up to it."""
+class _Bridge:
+    """Position and force with their missing samples bridged as a controller does, whole or in pieces.
 
-    position: float
-    difference: float
-    gap: int
-
-
-def _continue(position: Array, settle: int, step: float, place: _Place | None) -> tuple[Array, Array, Array, _Place]:
-    """Position of the axis: where it was as long as readings are within `step` of that [m].
-
-    Its missing samples continue the last raw difference. `place` is the last sample of the piece before, where there
-    was one.
-
-    Returns the position at k, the position one sample earlier as the chain sees it at k, and their difference [m]; and
-    the last sample. They are stated apart because after a gap of more than `settle` samples the earlier position is
-    replaced by the new one: the difference restarts at zero, what was travelled unseen does not appear as a velocity.
+    The axis is where it was as long as readings are within `step` of that [m].
     """
-    good = np.isfinite(position)
-    last = place or _Place(float(position[np.argmax(good)]) if good.any() else 0.0, 0.0, 0)
-    if step == 0.0 and last.gap == 0 and good.all():
-        earlier = _delay(position, last.position)
-        difference = position - earlier
-        return position, earlier, difference, _Place(float(position[-1]), float(difference[-1]), 0)
-    now, moved, gap = last.position, last.difference, last.gap
-    rows = np.empty((len(position), 3))
-    for k, reading in enumerate(position.tolist()):
-        before = now
-        if good[k]:
-            now = min(max(before, reading - step), reading + step)
-            before = now if gap > settle else before
-            moved, gap = now - before, 0
-        else:  # as a controller does, sample by sample
-            now, gap = before + moved, gap + 1
-        rows[k] = now, before, moved
-    filled, earlier, difference = rows.T.copy()
-    return filled, earlier, difference, _Place(now, moved, gap)
+
+    def __init__(self, settle: int, step: float, coefficients: tuple[float, float, float, float, float]) -> None:
+        self._settle, self._step, self._coefficients = settle, step, coefficients
+        self._filter = np.zeros(2)
+        self._position: float | None = None
+        self._difference = self._force = self._once = self._turn = 0.0
+        self._gaps = [math.inf, math.inf]  # of position and force: none has been there
+        self._error, self._since = UNKNOWN, 0
+
+    def take(self, position: Array, force: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return position at k, the one before as the chain sees it, their difference, force, and friction's error.
+
+        Position before and difference are stated apart because after a gap of more than `settle` samples the earlier
+        position is replaced by the new one: what was travelled unseen does not appear as a velocity. The error is
+        over the stated noise.
+        """
+        missing = np.flatnonzero(~(np.isfinite(position) & np.isfinite(force)))
+        if self._position is None:
+            self._position, self._force = _first(position), _first(force)
+        disturbed = max(self._settle - self._since, int(missing[-1]) + 1 + self._settle if len(missing) else 0)
+        count = min(len(position), disturbed) if self._step == 0.0 else len(position)
+        rows = self._disturbed(position[:count].tolist(), force[:count].tolist())
+        rest = position[count:]
+        if not len(rest):
+            return rows[0], rows[1], rows[2], rows[3], rows[4]
+        earlier = _delay(rest, self._position)
+        once, self._filter = _lowpass(self._coefficients, rest - earlier, self._filter)
+        self._turn = float(once[-1]) - (float(once[-2]) if len(once) > 1 else self._once)
+        self._position, self._difference = float(rest[-1]), float(rest[-1] - earlier[-1])
+        self._once, self._force, self._error = float(once[-1]), float(force[-1]), 0.0
+        self._since += len(rest)
+        undisturbed = np.stack((rest, earlier, rest - earlier, force[count:], np.zeros(len(rest))))
+        filled = np.concatenate((rows, undisturbed), axis=1)
+        return filled[0], filled[1], filled[2], filled[3], filled[4]
+
+    def _disturbed(self, position: list[float], force: list[float]) -> Array:
+        """`take` sample by sample, as rows (5, n)."""
+        (b0, b1, b2, a1, a2), (z0, z1) = self._coefficients, self._filter.tolist()
+        settle, step, fading = self._settle, self._step, bridge_fading(self._settle)
+        now, moved, push = self._position or 0.0, self._difference, self._force
+        once, turn, error, since, (gap, force_gap) = self._once, self._turn, self._error, self._since, self._gaps
+        rows = np.empty((len(position), 5))
+        for k, (reading, pushed) in enumerate(zip(position, force, strict=True)):
+            before, used = now, push
+            error = 0.0 if since >= settle else error
+            since += 1
+            if reading == reading:
+                now = min(max(before, reading - step), reading + step)
+                before, error = (now, UNKNOWN) if gap > settle else (before, error)
+                moved, gap = now - before, 0.0
+            else:
+                moved += turn if gap <= settle else 0.0
+                gap += gap <= settle
+                now, since = before + moved, 0
+            if pushed == pushed:
+                # The mean of the forces on both sides is that of the gap: its impulse is made up for.
+                used = pushed + (0.5 * force_gap * (pushed - push) if force_gap <= settle else 0.0)
+                push, error, force_gap = pushed, UNKNOWN if force_gap > settle else error, 0.0
+            else:
+                force_gap += force_gap <= settle
+                since = 0
+            error = fading * error + 2.0 * (1.0 - fading) * max(gap, force_gap) ** 2
+            rows[k] = now, before, moved, used, error
+            filtered = z0 + b0 * moved
+            z0, z1 = z1 + b1 * moved - a1 * filtered, b2 * moved - a2 * filtered
+            once, turn = filtered, filtered - once
+        self._filter = np.array([z0, z1])
+        self._position, self._difference, self._force = now, moved, push
+        self._once, self._turn, self._error, self._since, self._gaps = once, turn, error, since, [gap, force_gap]
+        return rows.T.copy()
+
+
+def _first(signal: Array) -> float:
+    """The first finite value, 0 where there is none."""
+    good = np.isfinite(signal)
+    return float(signal[np.argmax(good)]) if good.any() else 0.0
