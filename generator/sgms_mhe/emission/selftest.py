@@ -15,6 +15,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, UpdateStatus, Weights, run_ekf, run_mhe
 from sgms_mhe.signals.chain import (
+    Bridge,
     Signals,
     apply_chain,
     mean_samples,
@@ -244,7 +245,7 @@ def _force_ahead(
     nodes = samples * np.arange(1, record.updates + 1) + later
     x, theta = found.extra["x"].T, found.extra["theta"].T
     w = signal_array(signals, step, mean=mean_samples(machine))[nodes].T
-    filled = _fill_gaps(position_m)
+    filled = Bridge(machine).take(position_m, np.zeros(len(position_m)))[0]
     measured = w[1].copy()
     lag_m = (filled - apply_chain(machine, filled))[nodes] if lags else measured * ahead.lag
     mean = lag_m / ahead.lag
@@ -271,14 +272,6 @@ def _force_ahead(
     force = np.array(output(chi, w, theta)).reshape(record.updates)
     force = force * np.minimum(1.0, (nodes + 1) * ahead.gain_step)
     return np.asarray(force if ahead.limit is None else np.clip(force, -ahead.limit, ahead.limit))
-
-
-def _fill_gaps(position_m: Array) -> Array:
-    """Positions with a gap continued at the speed before it."""
-    filled = position_m.copy()
-    for k in np.flatnonzero(np.isnan(filled)):
-        filled[k] = 2.0 * filled[k - 1] - filled[k - 2]
-    return filled
 
 
 def _move_states(model: Model, chi: Array, w: Array, theta: Array, duration: float) -> Array:

@@ -118,7 +118,7 @@ class Chain:
         self._bases: dict[str, float] = {}
         self._held: dict[str, float] = {}
         self._before: dict[str, float] = {}
-        self._bridge = _Bridge(self._settle, machine.sampling.position_step, self._coefficients)
+        self._bridge = Bridge(machine)
         self._since = 0
 
     def take(self, log: Log) -> Signals:
@@ -376,22 +376,23 @@ def _hold(signal: Array, before: float | None = None) -> Array:
     return np.where(last >= 0, signal[last], start)
 
 
-class _Bridge:
+class Bridge:
     """Position and force with their missing samples bridged as a controller does, whole or in pieces.
 
-    The axis is where it was as long as readings are within `step` of that [m].
+    The axis is where it was as long as readings are within `position_step` of that.
     """
 
-    def __init__(self, settle: int, step: float, coefficients: tuple[float, float, float, float, float]) -> None:
-        self._settle, self._step, self._coefficients = settle, step, coefficients
+    def __init__(self, machine: Machine) -> None:
+        self._settle, self._step = settle_samples(machine), machine.sampling.position_step
+        self._coefficients = lowpass_coefficients(machine)
         self._filter = np.zeros(2)
         self._position: float | None = None
         self._difference = self._force = self._once = self._turn = 0.0
         self._gaps = [math.inf, math.inf]  # of position and force: none has been there
         self._error, self._since = UNKNOWN, 0
 
-    def take(self, position: Array, force: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return position at k, the one before as the chain sees it, their difference, force, and friction's error.
+    def take(self, position: Array, force: Array) -> Array:
+        """Return (5, n): position at k, that before as the chain sees it, their difference, force, friction's error.
 
         Position before and difference are stated apart because after a gap of more than `settle` samples the earlier
         position is replaced by the new one: what was travelled unseen does not appear as a velocity. The error is
@@ -405,7 +406,7 @@ class _Bridge:
         rows = self._disturbed(position[:count].tolist(), force[:count].tolist())
         rest = position[count:]
         if not len(rest):
-            return rows[0], rows[1], rows[2], rows[3], rows[4]
+            return rows
         earlier = _delay(rest, self._position)
         once, self._filter = _lowpass(self._coefficients, rest - earlier, self._filter)
         self._turn = float(once[-1]) - (float(once[-2]) if len(once) > 1 else self._once)
@@ -413,8 +414,7 @@ class _Bridge:
         self._once, self._force, self._error = float(once[-1]), float(force[-1]), 0.0
         self._since += len(rest)
         undisturbed = np.stack((rest, earlier, rest - earlier, force[count:], np.zeros(len(rest))))
-        filled = np.concatenate((rows, undisturbed), axis=1)
-        return filled[0], filled[1], filled[2], filled[3], filled[4]
+        return np.concatenate((rows, undisturbed), axis=1)
 
     def _disturbed(self, position: list[float], force: list[float]) -> Array:
         """`take` sample by sample, as rows (5, n)."""
