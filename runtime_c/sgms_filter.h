@@ -156,8 +156,8 @@ typedef struct {
 typedef struct {
     sgms_position *position; /* [2] last position of the axis, last raw difference */
     sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
-    sgms_real *last; /* [SGMS_FILTER_LAST] last force, filtered velocity; force, position before; change
-                        of filtered velocity, error of friction by samples that were bridged */
+    sgms_real *last; /* [SGMS_FILTER_LAST] last force, filtered velocity; force, position before;
+                        change of that velocity, error of friction by bridged samples */
     int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the
                         position's gap, samples since the last gap, length of the force's gap */
     sgms_real mass;  /* kg, that moves */
