@@ -106,8 +106,6 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
         machine=machine,
         source="axis.csv",
         verdict="explained",
-        summary="The axis has a force ripple of 0.80 N with a pitch of 32.0 mm that the machine file does not know; "
-        "with it the simulation is right down to the noise",
         causes=(Cause("force_ripple", "force_ripple", values, std, {}, rms, 0.562, (0.548, 0.577), 1e-34),),
         alternatives=(
             Alternative(
@@ -115,7 +113,6 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
             ),
             Alternative("encoder_periodic_error", "its force would grow with speed squared; it does not", False),
         ),
-        separating_experiment=None,
         rms=rms,
         noise_floor_N=0.110,
         gain_interval_N=(0.548, 0.577),
@@ -153,7 +150,6 @@ def adequate(machine: Machine, **changes: Any) -> Diagnosis:
     return explained(
         machine,
         verdict="adequate",
-        summary="The machine file explains this record down to the noise of the measurement",
         causes=(),
         alternatives=(),
         rms=rms,
@@ -187,7 +183,6 @@ def ambiguous(machine: Machine) -> Diagnosis:
         first,
         rival_fits=(RivalFit("asymmetric_coulomb", "constant_offset", 0.113, held_out, rival),),
         verdict="ambiguous",
-        summary="A constant offset of 0.41 N or an asymmetric Coulomb level of 10 % is missing: this record cannot say",
         causes=(cause,),
         alternatives=(
             Alternative(
@@ -199,7 +194,6 @@ def ambiguous(machine: Machine) -> Diagnosis:
                 0.002,
             ),
         ),
-        separating_experiment="loops below break-away: an offset shifts them, an asymmetric level does not",
     )
 
 
@@ -210,7 +204,6 @@ def unexplained(machine: Machine) -> Diagnosis:
     return replace(
         first,
         verdict="unexplained",
-        summary="0.57 N of the residual follow the position, and no known effect accounts for them",
         traces=replace(shown, extended_N=shown.nominal_N, held_out_fit_N=shown.nominal_N),
         rms=Rms(0.581, 0.581, 0.577, 0.577),
         structure_before=structure(shown, shown.residual_before, True),
@@ -234,7 +227,6 @@ def motionless(machine: Machine) -> Diagnosis:
     )
     return replace(
         first,
-        summary="The axis does not move in this record: nothing can be said about it",
         traces=still,
         excited=False,
         scores=(),

@@ -22,7 +22,6 @@ from sgms_bench.studies.identification import identified_axis
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification import Wanted, final_fit, identify
-from sgms_mhe.identification.description import DEFAULT
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis, stribeck_limits
 from sgms_mhe.identification.records import ElementMotion, filter_motion, make_records, sort_logs
@@ -47,6 +46,7 @@ from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.signals.noise import encoder_step, position_noise
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.numbers import round_number
+from sgms_mhe.support.statements import Rule
 
 Array = NDArray[np.float64]
 
@@ -117,9 +117,9 @@ def test_a_default_has_its_reason_in_one_place(tmp_path: Path) -> None:
     log = sgms_mhe.simulate(machine, "mixed", duration_s=6.0, seed=1).log
     found = sgms_mhe.identify(log, mass=20.0, elements=2)
     notes = {number.name: number.note for number in found.numbers if number.name.startswith("stribeck")}
-    assert notes == {"stribeck_ratio": DEFAULT, "stribeck_velocity": DEFAULT}
+    assert notes == dict.fromkeys(("stribeck_ratio", "stribeck_velocity"), Rule.DEFAULT.text)
     assert sum(limit.startswith("stribeck: not determined") for limit in found.limits) == 1
-    assert found.toml.count(DEFAULT) == 2 and "shows no" not in found.toml
+    assert found.toml.count(Rule.DEFAULT.text) == 2 and "shows no" not in found.toml
 
 
 def test_an_identification_in_python(log: Log) -> None:
@@ -436,8 +436,8 @@ def test_clusters_keep_the_level() -> None:
 
 
 def test_numbers_are_written_as_finely_as_they_are_known() -> None:
-    assert Number("coulomb", 4.01234, 0.0062, True).interval == "4.012 +- 0.012"
-    assert Number("mass", 20.0, np.nan, True).interval == "20"
+    assert Number("coulomb", 4.01234, 0.0062).interval == "4.012 +- 0.012"
+    assert Number("mass", 20.0, np.nan).interval == "20"
     assert abs(round_number(123456.789, 30.0) - 123456.789) < 0.1 * 30.0
     assert round_number(1.0 / 3.0, np.nan) == pytest.approx(1.0 / 3.0, rel=1e-11)
     assert round_up(0.0123) == 0.013

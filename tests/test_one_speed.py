@@ -99,7 +99,7 @@ def test_the_share_that_the_chain_took_of_a_ripple_is_said(
     if fitted > 0.97 * 0.5:
         assert not said
     elif fitted < 0.93 * 0.5:
-        assert float(said[0].partition(" is about ")[2].partition(";")[0]) == pytest.approx(0.5, rel=0.06)
+        assert said[0].value == pytest.approx(0.5, rel=0.06)
     assert not list_smoothed(record, [replace(cause, name="constant_offset", parameters={"force_N": 1.0})])
 
 

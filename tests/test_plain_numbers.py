@@ -13,11 +13,12 @@ from scipy.signal import lfilter
 from sgms_mhe.api.estimation import estimate, predict
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.identification import Identification, Wanted, identify
-from sgms_mhe.identification.description import STAND_IN, _number
+from sgms_mhe.identification.description import _number
 from sgms_mhe.identification.fits import NumberEstimate
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.status import measure_doubt
+from sgms_mhe.support.statements import Rule
 
 Array = NDArray[np.float64]
 COUNT = 2.0 * math.pi / 2**14
@@ -55,7 +56,7 @@ def within(found: Identification, **truth: float) -> None:
 def test_no_deviation_is_wider_than_a_numbers_range(value: float, std: float, upper: float, stated: bool) -> None:
     number = _number("fraction_1", NumberEstimate(value, std), upper=upper)
     assert math.isfinite(number.std) == stated
-    assert not number.determined and number.note == STAND_IN
+    assert not number.determined and number.rule is Rule.STAND_IN
 
 
 def test_flicker_at_rest_is_no_motion_of_a_stand_in() -> None:
@@ -73,7 +74,7 @@ def test_flicker_at_rest_is_no_motion_of_a_stand_in() -> None:
     assert not stiffness.determined and found.to_json()["numbers"][2]["std"] is None
     assert 0.8 * COUNT <= found.number("coulomb").value / stiffness.value <= 1.2 * COUNT
     assert found.machine.sampling.position_step == pytest.approx(COUNT, rel=1e-5)
-    assert f"element 1: {stiffness.value:.6g} N m/rad" in found.toml
+    assert f"stiffness_1 = {stiffness.value:.6g} N m/rad" in found.toml
     within(found, coulomb=0.57, viscous=0.5)
 
     rest = np.convolve(np.tile(np.repeat([0.3, 0.0, -0.9, 0.0], 500), 4), np.ones(30) / 30.0, "same")

@@ -12,6 +12,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import pytest
 from sgms_bench.diagnosis.draws import Draw, machine_of, make_draw, simulate_draw
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
+from statement_cases import check_outputs
 
 RECORDED = Path(__file__).parent / "recorded" / "verdicts.json"
 UPDATE = "python tests/test_recorded_verdicts.py --update"
@@ -101,18 +103,24 @@ def differences(before: Any, after: Any, where: str = "", relative: float = RELA
         yield f"{where}: {before}, now {after}"
 
 
-def examine(draw: Draw) -> dict[str, Any]:
-    """Diagnose the log of a draw."""
-    machine = load_machine(MACHINE)
-    return said(diagnose(machine_of(machine, draw), simulate_draw(machine, draw)[0]))
+@cache
+def examine(index: int) -> Diagnosis:
+    """Diagnose the log of a recorded draw."""
+    machine, draw = load_machine(MACHINE), Draw.from_json(recorded()[str(index)]["draw"])
+    return diagnose(machine_of(machine, draw), simulate_draw(machine, draw)[0])
 
 
 @pytest.mark.parametrize("index", DRAWS)
 def test_verdict_is_the_recorded_one(index: int) -> None:
     entry = recorded()[str(index)]
-    changed = list(differences(entry["found"], examine(Draw.from_json(entry["draw"]))))
+    changed = list(differences(entry["found"], said(examine(index))))
     if changed:
         pytest.fail("\n".join([f"draw {index}:", *changed, f"if this is meant: {UPDATE}"]), pytrace=False)
+
+
+@pytest.mark.parametrize("index", DRAWS)
+def test_no_output_of_it_contradicts_another(index: int, tmp_path: Path) -> None:
+    check_outputs(examine(index), tmp_path)
 
 
 @pytest.mark.parametrize("index", DRAWS)
@@ -138,7 +146,8 @@ def update() -> None:
     before, after = recorded(), {}
     for index in DRAWS:
         draw = make_draw(load_machine(MACHINE), SEED, index)
-        after[str(index)] = {"draw": draw.to_json(), "found": examine(draw)}
+        found = diagnose(machine_of(load_machine(MACHINE), draw), simulate_draw(load_machine(MACHINE), draw)[0])
+        after[str(index)] = {"draw": draw.to_json(), "found": said(found)}
         for line in differences(before.get(str(index), {}).get("found", {}), after[str(index)]["found"]):
             print(f"draw {index}: {line}")
     RECORDED.parent.mkdir(exist_ok=True)

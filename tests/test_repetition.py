@@ -34,7 +34,7 @@ def test_one_speed_is_a_clock_where_it_is_kept() -> None:
     moving = np.isin(at_one.block, np.flatnonzero(steady)) & at_one.used
     np.testing.assert_allclose(at_one.velocity[moving], SPEED, rtol=0.05)
     (note,) = clock_note(at_one)
-    assert "one speed" in note
+    assert "one speed" in note.sentence
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ from sgms_mhe.report.series import MISSING, pack, since_reversal, views
 from sgms_mhe.report.units import SPACE, force, probability, quantity, split_name
 from sgms_mhe.report.words import base_words, capital, sentence
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.statements import Rule, Statement, list_open
 
 CASES: dict[str, Callable[[Machine], Diagnosis]] = {
     "explained": cases.explained,
@@ -164,8 +165,7 @@ def test_explained_says_cause_numbers_and_file(machine: Machine, tmp_path: Path)
     page = read(write_report(diagnosis, tmp_path))
     words = page.words
     assert "Found: force periodic in position (0.797 ± 0.012 N)." in words
-    before, after = force(diagnosis.rms.held_out_before), force(diagnosis.rms.held_out_after)
-    assert f"measured minus simulated friction falls from {before} to {after} RMS".replace(SPACE, " ") in words
+    assert diagnosis.summary == diagnosis.statements[0].sentence and diagnosis.summary in words
     assert "Confirm it on another record" in words
     assert "sgms-mhe predict etel_xy_force_ripple.toml ANOTHER_LOG" in words
     assert "0.797 ± 0.012 N" in words
@@ -199,8 +199,8 @@ def test_ambiguous_shows_the_rival_and_the_next_step(machine: Machine, tmp_path:
     move = "Loops below break-away: an offset shifts them, an asymmetric level does not."
     command = "sgms-mhe plan etel_xy --separate constant_offset asymmetric_coulomb --out plan.csv"
     assert f"What this record cannot decide {choice} {move} {command}" in words
-    assert "not rule out in its place: Coulomb level different in the two directions asymmetric_coulomb" in words
-    assert "(ratio 10.2 %)" in words
+    assert "constant_offset: another cause fits as well." in words
+    assert "In place of constant force, independent of motion: ratio 10.2 %" in words
     assert "Next step Record one of the moves above" in words
 
 
@@ -276,6 +276,7 @@ def test_every_cause_with_limits_and_rivals_has_a_report(axis: str, tmp_path: Pa
         Alternative(r, f"fits as {name}", True, name, {}, 0.0) for name in names for r in cause(name).confused_with
     ]
     columns = [c for base in BASE_CAUSES.values() for n in base.numbers for c in n.columns(machine.friction.n_z)]
+    said = [*(f"{name}: may begin a sentence" for name in (*names, *columns)), "no name: here", ": nor here"]
     diagnosis = replace(
         first,
         verdict="unexplained",
@@ -283,12 +284,13 @@ def test_every_cause_with_limits_and_rivals_has_a_report(axis: str, tmp_path: Pa
         alternatives=tuple(rivals),
         rival_fits=(),
         base=tuple(BaseParameter(c, 1.0, 1.0, math.nan) for c in columns),
-        undecided=(*(f"{name}: may begin a sentence" for name in (*names, *columns)), "no name: here", ": nor here"),
+        undecided=tuple(Statement(Rule.ONE_SPEED, text) for text in said),
     )
     words = read(write_report(diagnosis, tmp_path)).words
-    for limit in diagnosis.undecidable:
-        if limit.number is None and limit.between is None:
-            assert sentence(limit.words) in words
+    for statement in list_open(diagnosis.statements):
+        if statement.rule is not Rule.UNSEEN and statement.kind != "choice":
+            assert sentence(statement.sentence) in words
+    words = read(write_report(replace(diagnosis, causes=()), tmp_path)).words
     for column in columns:
         assert f"{capital(base_words(column))}: the record does not show it." in words
 
@@ -319,7 +321,7 @@ def test_a_report_that_fails_costs_no_verdict(
     arguments = ("--quiet", "diagnose", tmp_path / "axis.toml", log, "--out", tmp_path / "out")
     with caplog.at_level("DEBUG", "sgms_mhe.report"):
         result = done(*arguments)
-    assert result.stdout.startswith("explained: The axis has a force ripple")
+    assert result.stdout.startswith("explained: force_ripple: the residual")
     assert "report:" not in result.stdout
     assert "no report: ZeroDivisionError: of a plot" in result.stderr
     assert "Traceback" not in result.stderr
@@ -351,12 +353,12 @@ def test_a_choice_is_told_once_whatever_its_sentence(machine: Machine, tmp_path:
     """A cause by its label, and a limit that begins as the choice's sentence does."""
     first = cases.ambiguous(machine)
     cause, rival = next((a.instead_of, a.name) for a in first.alternatives if a.rival and a.instead_of)
-    also = f"{cause} or {rival}: what another sentence says"
+    about = f"{cause} or {rival}"
+    also = Statement(Rule.SMOOTHED, about, 0.4, numbers={"percent": 80.0, "size": "amplitude_N"})
     page = read(write_report(replace(first, undecided=(also,)), tmp_path))
-    assert page.words.count(also[1:]) == 1
-    assert {limit.between for limit in first.undecidable} >= {(cause, rival)}
-    why = next(a.why_not for a in first.alternatives if a.name == rival)
-    assert f"{cause} or {rival}: {why}" not in page.words
+    assert page.words.count(also.sentence[1:]) == 1
+    (choice,) = (s for s in first.statements if s.kind == "choice")
+    assert choice.about == about and choice.sentence in first.limits
 
 
 def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_path: Path) -> None:
@@ -371,13 +373,11 @@ def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_pa
         first,
         causes=(ripple, offset),
         alternatives=(spring, itself),
-        summary=f"force_ripple, {name}, but position_spring would fit as well",
-        separating_experiment=f"{name} or position_spring: the same move at two ends of the travel",
     )
     words = read(write_report(diagnosis, tmp_path)).words
     assert "Found: force periodic in position (0.797 ± 0.012 N)." in words
     assert "Constant force, independent of motion or force proportional to position?" in words
-    assert words.count("not rule out in its place: force proportional to position position_spring") == 1
+    assert words.count("Constant force, independent of motion, or force proportional to position?") == 1
     assert "another value than the machine file's" in words
     assert "−3.16 N 0.410 ± 0.040 N" in words
     assert "The same move at two ends of the travel." in words

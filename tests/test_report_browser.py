@@ -369,7 +369,7 @@ def test_nothing_is_drawn_outside_of_a_drawing(browser: Browser, fleet: Path, wi
     headings = [e.text for e in browser.driver.find_elements(By.TAG_NAME, "h2")]
     assert headings[:2] == ["What failed", "What stands out"]
     said = browser.driver.find_element(By.TAG_NAME, "main").text
-    assert "moves steadily: 0.100 ± 0.020 N" in said and "above the band" in said
+    assert "Moves steadily: " in said and "0.100 +- 0.020 N" in said and "Left its band: " in said
 
 
 # --- the page over a run --------------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ import pytest
 
 from cli_cases import SMALL, done, refused, run
 from record_cases import simulate_log
-from sgms_mhe.commands.tune import _rows
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.plots import trade_off_figure
 from sgms_mhe.evaluation.tuning import Trial, Tuned, tune
@@ -21,6 +20,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.innovations import LEAST_UPDATES, innovation_loss, moving_updates, stated_noise
 from sgms_mhe.signals.logs import Log, write_log
+from statement_cases import check_statements
 
 
 def moved(machine: Machine, noise: float, seconds: float = 8.0) -> Log:
@@ -75,6 +75,7 @@ def test_the_file_that_is_written_extends_the_machine(small: Path, tmp_path: Pat
     )
     assert result.exit_code == 0, result.output
     content = json.loads(result.stdout)
+    assert {entry["kind"] for entry in check_statements(content)} == {"weight", "error"}
     tuned = load_machine(tmp_path / "tuned.toml")
     assert tuned.estimator.noise.measurement == content["changes"]["estimator"]["noise"]["measurement"] < 1.0
     assert tuned.friction == machine.friction
@@ -118,7 +119,7 @@ def test_wild_readings_do_not_count_for_more_than_they_are(small: Path) -> None:
     assert np.all(np.isfinite(loss)) and 0.0 < ratio <= 25.0
 
 
-def test_the_table_shows_the_files_weights_whatever_was_tried(small: Path) -> None:
+def test_statements_have_the_files_weights_whatever_was_tried(small: Path) -> None:
     """A weight that is likelier at the file's value beside another one's change is still the file's."""
     machine = load_machine(small)
     loss = np.array([1.0, 1.0])
@@ -129,11 +130,12 @@ def test_the_table_shows_the_files_weights_whatever_was_tried(small: Path) -> No
         "state": ((noise.state, best), (2.0 * noise.state, start)),
         "horizon": ((float(machine.estimator.horizon), best), (40.0, best)),
     }
-    rows = _rows(Tuned(machine, start, best, None, trials, ()))
-    assert rows == [
-        ("measurement", f"{noise.measurement:g}", "0.3"),
-        ("state", f"{noise.state:g}", "as it is"),
-        ("horizon", f"{machine.estimator.horizon:g}", "as it is"),
+    tuned = Tuned(machine, start, best, None, trials, ("state",))
+    stated = [(s.about, s.value, s.numbers["file"], s.sure) for s in tuned.statements if s.kind == "weight"]
+    assert stated == [
+        ("measurement", 0.3, noise.measurement, "yes"),
+        ("state", noise.state, noise.state, "open"),
+        ("horizon", float(machine.estimator.horizon), float(machine.estimator.horizon), "yes"),
     ]
 
 

@@ -44,6 +44,7 @@ from sgms_mhe.signals.chain import Chain, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.errors import InputError
+from statement_cases import check_statements
 
 LIMIT_S = 300.0
 """Of what must happen at some time: a host that is kept busy must not decide."""
@@ -556,6 +557,7 @@ def test_a_replay_ends_with_the_numbers_of_estimate(small: Path, log: Path, tmp_
     summary = json.loads(done("estimate", small, log, "--out", tmp_path / "e.csv", "--json").stdout)
     result = done("watch", small, log, "--speed", "max", "--out", tmp_path / "w.csv", "--json")
     found = json.loads(result.stdout)
+    assert {entry["kind"] for entry in check_statements(found)} >= {"verdict", "number"}
     assert (tmp_path / "w.csv").read_bytes() == (tmp_path / "e.csv").read_bytes()
     for key in ("updates", "measured", "start_s", "end_s", "parameters", "status"):
         assert found[key] == summary[key], key

@@ -15,7 +15,6 @@ from sgms_mhe.commands import common
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.decisions import trace_decisions
 from sgms_mhe.support.errors import ImplausibleError, InputError
-from sgms_mhe.support.numbers import interval
 from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
@@ -121,52 +120,12 @@ def _gain(gain: EstimatorGain) -> dict[str, object]:
 
 
 def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: EstimatorGain | None) -> str:
-    lines = [f"{diagnosis.verdict}: {diagnosis.summary}"]
-    if diagnosis.learned is not None:
-        lines.append(f"  {diagnosis.learned.words}")
+    lines = [f"{diagnosis.verdict}: {diagnosis.summary}", *(f"  {s.line}" for s in diagnosis.said[1:])]
     units = diagnosis.machine.plant.units
-    for cause in diagnosis.causes:
-        values = ", ".join(
-            f"{units.named(name)} = {interval(value, cause.std.get(name, math.nan))}"
-            for name, value in cause.parameters.items()
-        )
-        holds = {None: "", True: "; transfers", False: "; not of every record"}[cause.transfers]
-        gained = f"explains {cause.gain_N:.3g} {units.force} rms on held-out data"
-        lines.append(f"  {cause.name}: {values}; {gained}{holds}")
-    lines += [
-        f"  {a.name} in place of {a.instead_of}: {a.why_not}"
-        for a in diagnosis.alternatives
-        if a.instead_of and a.rival
-    ]
-    lines += [
-        f"  refuted: {units.named(n.name)} = {n.file:.4g}, by the record {interval(n.record, n.std)}"
-        for n in diagnosis.refuted
-        if diagnosis.is_rough
-    ]
-    if diagnosis.errors and not diagnosis.records:
-        before, after, plain = (100.0 * diagnosis.errors[key] for key in ("before", "after", "plain"))
-        lines.append(
-            f"simulation error on data not used in the fit, of the {units.push}'s RMS: {before:.3g} % before, "
-            f"{after:.3g} % after; Coulomb and viscous friction by least squares {plain:.3g} %"
-        )
-    lines += [
-        f"on {r.name}: residual {r.held_out_before:.3g} to {r.held_out_after:.3g} {units.force} rms on held-out data; "
-        f"Coulomb and viscous friction {r.plain:.3g} {units.force}, noise {r.noise_floor_N:.3g} {units.force}; "
-        f"of the {units.push}'s RMS {', '.join(f'{100.0 * error:.3g} %' for error in r.errors.values())}"
-        for r in diagnosis.records
-    ]
-    lines += [f"along {one.describe(units)}" for one in diagnosis.written if diagnosis.extended is not None]
-    differing = [one.describe(units) for one in diagnosis.differences]
-    lines += [f"open: {sentence}" for sentence in (*differing, *diagnosis.contradictions)]
     if diagnosis.separating_experiment:
         lines.append(f"next: {diagnosis.separating_experiment}")
     if gain is not None:
-        low, high = gain.reduction_interval
-        lines.append(
-            f"estimator on {gain.source}: error of the predicted friction {gain.base.predicted_rms_N:.3g} to "
-            f"{gain.extended.predicted_rms_N:.3g} {units.force} rms, {100.0 * gain.reduction:.0f} % less "
-            f"(95 %: {100.0 * low:.0f} to {100.0 * high:.0f} %)"
-        )
+        lines.append(gain.state(units.force).sentence)
     lines += [f"note: {warning}" for warning in diagnosis.warnings]
     if diagnosis.extended_name:
         lines.append(f"extended machine: {folder / diagnosis.extended_name}")

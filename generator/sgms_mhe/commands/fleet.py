@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from sgms_mhe.commands import common
 from sgms_mhe.commands.options import make_command
-from sgms_mhe.support.numbers import interval
 from sgms_mhe.support.options import Option
 from sgms_mhe.support.parallel import workers
 
@@ -61,28 +60,15 @@ def command(
 
 
 def _text(fleet: Fleet, page: Path) -> str:
-    from sgms_mhe.api.fleet.writing import fleet_logs
-    from sgms_mhe.report.fleet import describe_doubts, doubts
+    from sgms_mhe.api.fleet.writing import state_rows
+    from sgms_mhe.report.fleet import describe_doubts
 
     done = [row for row in fleet.rows if not row.failure]
     fresh = [row.seconds for row in done if row.seconds]
     cost = f", {sum(fresh) / len(fresh):.1f} s each" if fresh else ""
-    lines = [f"failed: row {d.row.number}, {d.row.name}: {d.failure}" for d in fleet.failures]
-    lines += [
-        f"left its band: {course.axis}, {course.name}, {point.log}: "
-        f"{interval(point.value, point.std)}, band {point.band.low:.4g} to {point.band.high:.4g} of "
-        f"{point.band.count} {'earlier logs' if point.band.origin == 'own' else 'other axes'}"
-        for course in fleet.courses
-        for point in course.points
-        if point.band is not None and point.left
-    ]
-    lines += [
-        f"moves steadily: {course.axis}, {course.name}: {interval(trend.change, trend.std)} over {trend.days:.0f} days"
-        for course in fleet.courses
-        if (trend := course.trend) is not None
-    ]
-    open_ = describe_doubts(doubts(fleet_logs(fleet, page.parent)), len(fleet.rows))
-    lines += [open_] if open_ else []
+    statements = state_rows(fleet, page.parent)
+    lines = [s.sentence for s in statements if s.kind != "row" or s.sure == "no"]
+    lines += filter(None, [describe_doubts(statements)])
     lines.append(
         f"{len(done)} of {len(fleet.rows)} logs done, {len(fresh)} of them now{cost}, {len(fleet.failures)} failed"
     )

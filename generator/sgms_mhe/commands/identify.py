@@ -100,14 +100,10 @@ def _text(
     out: Path,
 ) -> str:
     units = found.machine.plant.units
-    rows = [
-        [units.named(n.name), n.interval, n.note or ("" if n.determined else "not determined")] for n in found.numbers
-    ]
+    rows = [[units.named(n.name), n.interval, n.note] for n in found.numbers]
     lines = [
         common.table_text(["number", "value +- 2 sigma", ""], rows),
-        f"law: {found.law}{'' if found.law_decided else ' (default)'}",
-        f"held-out residual: {found.held_out_rms_N:.3g} {units.force} of {found.friction_rms_N:.3g} {units.force} rms; "
-        f"noise floor {found.noise_floor_N:.3g} {units.force}",
+        *(s.sentence for s in found.others if s.sure == "yes" and s.kind != "file"),
         f"without errors of timing: {found.stated_rms_N:.3g} {units.force}; least squares alone: "
         f"{found.plain_rms_N:.3g} {units.force}{', which is what is written' if found.is_plain else ''}",
     ]

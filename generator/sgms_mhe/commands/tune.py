@@ -63,45 +63,22 @@ def _content(tuned: Tuned) -> dict[str, Any]:
         "test_ratio": {"before": tuned.start.ratio, "after": tuned.best.ratio},
         "better_by_sigmas": tuned.best.better_by(tuned.start) if tuned.best.changes else 0.0,
         "kept": list(tuned.kept),
+        "statements": [statement.to_json() for statement in tuned.statements],
     }
 
 
-def _rows(tuned: Tuned) -> list[tuple[str, str, str]]:
-    rows, estimator = [], tuned.machine.estimator
-    for name, tried in tuned.trials.items():
-        own = float(estimator.horizon if name == "horizon" else getattr(estimator.noise, name))
-        chosen = tuned.best.changes.get(name, own)
-        if name == "horizon" and tuned.horizon is not None:
-            chosen = float(tuned.horizon)
-        if len(tried) > 1:
-            rows.append((name, f"{own:g}", f"{chosen:g}" if chosen != own else "as it is"))
-    return rows
-
-
 def _text(tuned: Tuned, outputs: list[Path]) -> str:
-    start, best = tuned.start, tuned.best
-    lines = [
-        common.table_text(("weight", "file", "log"), _rows(tuned)),
-        f"mean test ratio {start.ratio:.3g} before, {best.ratio:.3g} after; loss {start.mean:.4f} before, "
-        f"{best.mean:.4f} after",
-    ]
-    if not tuned.changes():
-        lines.append("the log asks for no other weights")
-    if tuned.crowded:
-        lines.append("sampling.measurement_rate is beyond twice velocity_cutoff: such readings share their noise")
-    lines += [f"written: {path}" for path in outputs]
-    return "\n".join(lines)
+    lines = [statement.line for statement in tuned.statements]
+    return "\n".join((*lines, *(f"written: {path}" for path in outputs)))
 
 
 def _toml(tuned: Tuned, path: Path, log: str, alone: bool) -> str:
     """Return a machine file with the weights alone, or with every table."""
     from sgms_mhe.configuration import override_machine
-    from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_tables
+    from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_tables, wrap_comment
 
-    head = [
-        f"# Weights by sgms-mhe tune over {log}.",
-        f"# Mean test ratio {tuned.best.ratio:.3g}, before {tuned.start.ratio:.3g}.",
-    ]
+    head = [f"# Weights by sgms-mhe tune over {log}."]
+    head += [line for statement in tuned.statements for line in wrap_comment(statement.line)]
     if alone:
         changed = override_machine(tuned.machine, {"name": path.stem, **tuned.changes()})
         return "\n".join([*head, *toml_machine(changed.content)]) + "\n"

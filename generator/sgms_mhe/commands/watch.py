@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sgms_mhe.evaluation.watching import RunSummary
     from sgms_mhe.machine import Machine
     from sgms_mhe.signals.estimates import Estimates
+    from sgms_mhe.support.statements import Statement
 
 TOGETHER_S: Final = 1.0
 """Within so long signals are one: timeout(1) and some supervisors tell a process and its group."""
@@ -127,7 +128,9 @@ def command(
             remarks = [*watch.doubts, *source.remarks, *([str(error)] if error is not None else [])]
             ended = source.ended or ("an error" if error is not None else "interrupted")
             summary = {"log": name, "ended": ended, "remarks": remarks} | watch.course.summary()
-            text = common.json_text(machine.plant.units.keyed(summary)) if json else _text(machine, summary)
+            statements = watch.course.state(remarks)
+            content = summary | {"statements": [statement.to_json() for statement in statements]}
+            text = common.json_text(machine.plant.units.keyed(content)) if json else _text(machine, summary, statements)
             common.show(text, *([] if out is None else [out]))
             show_page(remarks, ended)
     return _exit_code(interrupt, watch, error, name)
@@ -211,17 +214,11 @@ def _line(course: RunSummary, last: Estimates) -> str:
     return ", ".join([f"{last.time_s[0]:.2f} s: {status_words(int(last.status[0]))}", friction, *parameters])
 
 
-def _text(machine: Machine, summary: dict[str, Any]) -> str:
+def _text(machine: Machine, summary: dict[str, Any], statements: Sequence[Statement]) -> str:
     """The summary for people."""
-    from sgms_mhe.evaluation.watching import WORDS
-
     units, greatest = machine.plant.units, summary["greatest_test_ratio"]
-    episodes = [
-        f"  {WORDS[e['fault']]}: {e['start_s']:.2f} to {e['end_s']:.2f} s, {e['updates']} updates"
-        for e in summary["episodes"][:SHOWN]
-    ]
-    if summary["faults"] > SHOWN:
-        episodes.append(f"  and {summary['faults'] - SHOWN} more")
+    shown = {kind: [s.sentence for s in statements if s.kind == kind] for kind in ("verdict", "fault", "log")}
+    more = [f"  and {summary['faults'] - SHOWN} more"] if summary["faults"] > SHOWN else []
     return "\n".join(
         [
             f"{summary['machine']}, {summary['log']}: ended, {summary['ended']}",
@@ -229,7 +226,6 @@ def _text(machine: Machine, summary: dict[str, Any]) -> str:
             f"{common.updates_text(units, summary)}",
             common.parameters_text(units, summary["parameters"]),
             f"greatest test ratio {greatest['value']:.4g} at {greatest['time_s']:.2f} s",
-            *(["faults seen:", *episodes] if episodes else ["faults seen: none"]),
-            *(f"mind: {remark}" for remark in summary["remarks"]),
+            *(*shown["verdict"], *shown["fault"][:SHOWN], *more, *shown["log"]),
         ]
     )

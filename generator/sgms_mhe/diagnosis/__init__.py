@@ -4,7 +4,6 @@ from sgms_mhe.diagnosis.result import Alternative as Alternative
 from sgms_mhe.diagnosis.result import BaseParameter as BaseParameter
 from sgms_mhe.diagnosis.result import Cause as Cause
 from sgms_mhe.diagnosis.result import Diagnosis as Diagnosis
-from sgms_mhe.diagnosis.result import Limit as Limit
 from sgms_mhe.diagnosis.result import RivalFit as RivalFit
 from sgms_mhe.diagnosis.result import Rms as Rms
 from sgms_mhe.diagnosis.result import Score as Score

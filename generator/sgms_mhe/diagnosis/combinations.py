@@ -17,7 +17,7 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import CONFIDENCE
 from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.decisions import log_decision
-from sgms_mhe.support.numbers import interval
+from sgms_mhe.support.statements import Rule, Statement
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,11 @@ class KnownCombination:
         first, second = (f"{label}.{name}" for label, name in zip(self.causes, self.parameters, strict=True))
         return {"of": [first, second], "weights": [1.0, self.weight], "value": self.value, "std": self.std}
 
-    def describe(self) -> str:
-        """Return the sentence on it."""
+    def state(self) -> Statement:
+        """Return the statement on it."""
         first, second = (f"{label}.{name}" for label, name in zip(self.causes, self.parameters, strict=True))
-        return (
-            f"{self.causes[0]} and {self.causes[1]}: the record tells {first} {self.weight:+.4g} {second} = "
-            f"{interval(self.value, self.std)} alone, neither of the two by itself"
-        )
+        about, numbers = " and ".join(self.causes), {"first": first, "second": second}
+        return Statement.of_number(Rule.COMBINATION, about, self.value, self.std, weight=self.weight, **numbers)
 
 
 def find_combinations(

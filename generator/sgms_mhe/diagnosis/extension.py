@@ -9,7 +9,7 @@ from typing import Any
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Estimator, Machine, plant_content
-from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_table, toml_tables
+from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_table, toml_tables, wrap_comment
 from sgms_mhe.model.effects import effect_definition
 
 NAME_LENGTH = 48
@@ -113,7 +113,15 @@ def _estimable(machine: Machine, changes: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def extension_toml(machine: Machine, extended: Machine, changes: Mapping[str, Any], folder: Path, alone: bool) -> str:
+def extension_toml(
+    machine: Machine,
+    extended: Machine,
+    changes: Mapping[str, Any],
+    folder: Path,
+    said: Sequence[str],
+    *,
+    alone: bool,
+) -> str:
     """Return the file of an extended machine.
 
     Args:
@@ -121,14 +129,16 @@ def extension_toml(machine: Machine, extended: Machine, changes: Mapping[str, An
         extended: the machine with the changes.
         changes: as `extend_machine` gives them.
         folder: in which the file is to lie.
+        said: sentences that are its comments.
         alone: True for a file with every table; otherwise it has the changes alone and extends the file of the base.
             A base without a file leaves no choice.
     """
-    head = f"# Written by sgms-mhe diagnose over {machine.source.name or machine.name}."
+    head = [f"# Written by sgms-mhe diagnose over {machine.source.name or machine.name}."]
+    head += [line for sentence in said for line in wrap_comment(sentence)]
     if alone or not machine.source.is_file():
-        return "\n".join([head, *toml_machine(extended.content)]) + "\n"
+        return "\n".join([*head, *toml_machine(extended.content)]) + "\n"
     lines = [
-        head,
+        *head,
         *toml_extends(machine, folder),
         *(toml_line(key, changes[key]) for key in ("name", "description")),
     ]

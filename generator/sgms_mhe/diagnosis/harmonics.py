@@ -23,6 +23,7 @@ from sgms_mhe.recordings.series import bin_sums
 from sgms_mhe.signals.chain import lowpass_coefficients
 from sgms_mhe.support.arrays import Array, Complex
 from sgms_mhe.support.parallel import run_parallel
+from sgms_mhe.support.statements import Rule, Statement
 
 TWO_PI: Final = 2.0 * math.pi
 BINS_PER_PERIOD: Final = 6.0
@@ -48,7 +49,7 @@ PASSED: Final = 0.95
 """Share of a sine's amplitude that has to pass the chain's filters, lest its loss be said."""
 
 
-def list_smoothed(recording: Recording, causes: Iterable[Cause]) -> tuple[str, ...]:
+def list_smoothed(recording: Recording, causes: Iterable[Cause]) -> tuple[Statement, ...]:
     """Return what the chain's low-passes took of the sines that are named, on average over the used rows.
 
     Force and acceleration come through two of them and a sample, the model's sine through none: so an amplitude is too
@@ -71,11 +72,9 @@ def list_smoothed(recording: Recording, causes: Iterable[Cause]) -> tuple[str, .
         lowpass = (b0 + b1 * z + b2 * z**2) / (1.0 + a1 * z + a2 * z**2)
         passed = float(np.abs(np.mean(lowpass**2 * z * np.exp(1j * angle * delay * sampling.rate))))
         if passed < PASSED:
-            size, value = recording.machine.plant.units.named(kind.size), cause.parameters[kind.size] / passed
-            said.append(
-                f"{cause.name}: {100.0 * passed:.3g} % of it pass velocity_cutoff = {sampling.velocity_cutoff:g} Hz: "
-                f"its true {size} is about {value:.3g}; a higher velocity_cutoff shows it whole"
-            )
+            units, value = recording.machine.plant.units, cause.parameters[kind.size] / passed
+            size: dict[str, float | str] = {"percent": 100.0 * passed, "size": units.named(kind.size)}
+            said.append(Statement(Rule.SMOOTHED, cause.name, value, None, units.unit(kind.size), size))
     return tuple(said)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from sgms_mhe.diagnosis.coordinates import Coordinate, Kind
 from sgms_mhe.model.effects.definition import Value
 from sgms_mhe.model.effects.learned_residual import TableCoordinate, table_entry
 from sgms_mhe.support.arrays import Array
+from sgms_mhe.support.statements import Rule, Statement
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +59,6 @@ class LearnedRecord:
     plain: float
 
     @property
-    def gain(self) -> float:
-        """Share by which the RMS of the residual falls [1]; negative where it grows."""
-        return 1.0 - self.after / self.before
-
-    @property
     def is_worse(self) -> bool:
         """Return True if it leaves more than the machine without it, or than Coulomb and viscous friction alone."""
         return self.after > min(self.before, self.plain)
@@ -98,27 +95,19 @@ class Learned:
         """Share by which the RMS of the residual falls on held-out data [1]."""
         return 1.0 - self.held_out_after / self.held_out_before
 
-    @property
-    def words(self) -> str:
-        """A line beside a verdict."""
-        over = " and ".join(filter(None, (", ".join(self.over[:-1]), self.over[-1])))
-        names = ["the other record"] if len(self.records) == 1 else [record.name for record in self.records]
-        there = "".join(f", {100.0 * r.gain:.0f} % on {name}" for r, name in zip(self.records, names, strict=True))
-        share = f"{100.0 * self.gain:.0f} % of the residual on held-out data{there}"
-        return f"learned, no name: over {over}, {share}{'' if self.in_file else '; left out of the extended machine'}"
-
     def along(self, position: Array, velocity: Array, step: float) -> Array:
         """Force (m) [N] along a motion (m) with rows of `step` [s]."""
         return np.asarray(np.sum([term.along(position, velocity, step) for term in self.terms], axis=0))
 
-    def list_contradictions(self, unit: str) -> tuple[str, ...]:
-        """Return the sentences on records that it does not hold on, in the unit of a force."""
-        return tuple(
-            f"what was learned is left out: on {r.name} it leaves {r.after:.3g} {unit}, the machine without it "
-            f"{r.before:.3g} {unit}, Coulomb and viscous friction alone {r.plain:.3g} {unit}"
-            for r in self.records
-            if r.is_worse
-        )
+    def state(self, unit: str) -> Iterator[Statement]:
+        """Yield the statements on it, and on each other record, in the unit of a force."""
+        over = " and ".join(filter(None, (", ".join(self.over[:-1]), self.over[-1])))
+        low, high = self.gain_interval
+        numbers = {"percent": 100.0 * self.gain, "least": low, "most": high}
+        yield Statement(Rule.LEARNED if self.in_file else Rule.LEARNED_OUT, over, self.gain, numbers=numbers)
+        for r in self.records:
+            rule = Rule.LEARNED_WORSE if r.is_worse else Rule.LEARNED_THERE
+            yield Statement(rule, r.name, r.after, None, unit, {"before_N": r.before, "plain_N": r.plain})
 
     def to_json(self) -> dict[str, object]:
         """Content of diagnosis.json."""

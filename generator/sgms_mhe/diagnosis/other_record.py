@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,10 +108,7 @@ class JudgedRecord:
     @property
     def errors(self) -> dict[str, float]:
         """Return the simulation error over the RMS of the force: before, after, of plain friction [1]."""
-        if not self.force > 0.0:
-            return {}
-        errors = {"before": self.held_out_before, "after": self.held_out_after, "plain": self.plain}
-        return {key: value / self.force for key, value in errors.items()}
+        return relative_errors(self.held_out_before, self.held_out_after, self.plain, self.force)
 
     @property
     def is_worse_than_plain(self) -> bool:
@@ -139,21 +136,7 @@ class JudgedRecord:
         }
 
 
-def list_contradictions(alone: Sequence[str], records: Sequence[JudgedRecord], unit: str) -> tuple[str, ...]:
-    """Return the sentences on causes, and on an extended machine, that do not hold on other records.
-
-    Args:
-        alone: labels of causes that do not transfer.
-        records: others than the first.
-        unit: of a force.
-    """
-    sentences = (
-        [f"{', '.join(alone)}: of the first record alone, on another one it gains nothing significant"] if alone else []
-    )
-    sentences += [
-        f"the extended machine is not recommended: on {record.name} it leaves {record.held_out_after:.3g} {unit}, "
-        f"Coulomb and viscous friction alone {record.plain:.3g} {unit}"
-        for record in records
-        if record.is_worse_than_plain
-    ]
-    return tuple(sentences)
+def relative_errors(before: float, after: float, plain: float, force: float) -> dict[str, float]:
+    """Return residuals before, after and of plain friction over the RMS of the force [1]; none where that is 0."""
+    residuals = {"before": before, "after": after, "plain": plain}
+    return {key: value / force for key, value in residuals.items()} if force > 0.0 else {}

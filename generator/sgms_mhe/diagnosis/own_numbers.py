@@ -12,6 +12,7 @@ from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition, reported_name
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.arrays import Array, Mask
+from sgms_mhe.support.statements import Rule, Statement
 
 
 def is_of_record(name: str, recording: Recording) -> bool:
@@ -51,10 +52,11 @@ class OwnDifference:
             return {f"{self.group.label}.{self.name}": far}
         return {self.name: far / first} if self.group.kind == "base" and first > 0.0 else {}
 
-    def describe(self, units: Units) -> str:
-        """Return it in a sentence."""
+    def state(self, units: Units) -> Statement:
+        """Return the statement on it."""
         values = " and ".join(f"{value:.4g}" for value in self.values)
-        return f"{units.named(self.reported_name)} differs between the records: {values}; no one number holds"
+        unit = units.unit(self.reported_name)
+        return Statement(Rule.DIFFERING, units.named(self.reported_name), unit=unit, numbers={"values": values})
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -15,27 +15,32 @@ from sgms_mhe.diagnosis.combinations import KnownCombination
 from sgms_mhe.diagnosis.document import make_document
 from sgms_mhe.diagnosis.extension import extension_toml
 from sgms_mhe.diagnosis.learned import Learned
-from sgms_mhe.diagnosis.other_record import JudgedRecord, list_contradictions
+from sgms_mhe.diagnosis.other_record import JudgedRecord, relative_errors
 from sgms_mhe.diagnosis.own_numbers import OwnDifference
 from sgms_mhe.diagnosis.structure import ResidualStructure
 from sgms_mhe.diagnosis.traces import Traces
 from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import cause as cause_definition
+from sgms_mhe.model.effects import reported_name, separating_moves
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
-from sgms_mhe.support.numbers import interval
+from sgms_mhe.support.statements import Rule, Statement, list_open
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Verdict = Literal["explained", "unexplained", "ambiguous", "adequate"]
 StandsFor = Literal["", "curve over speed", "what has no name"]
-STANDS_FOR_WORDS: Final[Mapping[StandsFor, str]] = {
-    "curve over speed": "may be a part of a curve over speed of another form",
-    "what has no name": "uncertain, or not the same all over the record: no cause, but it predicts unseen data",
-}
 Standing = Literal["certain", "limited", "undecided", "failed", "nothing"]
 """How far a result holds: without reservation; but for numbers or questions that stay open; not decided; not; no
 motion to judge by."""
+TWICE: Final = "the same motion twice, and once at half the speed: what stays in place, in time or in velocity shows"
+FINER: Final = "the same log with a lower [sampling] velocity_cutoff, or a finer encoder: what is below its noise shows"
+PLATEAUS: Final = (
+    "constant speeds from the slowest to the fastest, in both directions: friction over speed shows as it is"
+)
+MOTION: Final = "record a motion: strokes in both directions at several speeds, with reversals and rests"
+"""Next moves: where something is left, where the encoder hides it, where it is a curve over speed, at a standstill."""
 CHANCE: Final = 0.05
 """Chance that noise looks like a cause, from which the cause is not certain."""
 Outcome = Literal["named", "redundant", "too small", "not significant"]
@@ -175,21 +180,6 @@ class PlainFriction:
     force: float
 
 
-@dataclass(frozen=True)
-class Limit:
-    """Undecidable question of a record.
-
-    Attributes:
-        words: sentence of diagnosis.json.
-        between: a named cause and its rival, None where it is no choice.
-        number: column of the base model that the sentence begins with, None where it is about something else.
-    """
-
-    words: str
-    between: tuple[str, str] | None = None
-    number: str | None = None
-
-
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Shown):
     """Verdict, causes and evidence. Parameters and numbers have a linear axis's names; files have those of the axis.
@@ -198,10 +188,8 @@ class Diagnosis(Shown):
         machine: as given.
         source: of the log.
         verdict: adequate, explained, ambiguous (others fit as well) or unexplained (something is left).
-        summary: one sentence.
         causes: strongest first.
         alternatives: what was not named; the rivals first.
-        separating_experiment: what to do next, None if nothing.
         rms: of the whole extension (an adequate machine: after = before).
         noise_floor_N: RMS of the friction measurement's noise at the fit's rate.
         gain_interval_N: 95 % interval of the RMS of the explained force on held-out data.
@@ -216,7 +204,7 @@ class Diagnosis(Shown):
         warnings: what the user should know about the record (gaps, saturation, too fast, too short).
         seconds: computing time.
         rival_fits: of the alternatives that are rivals.
-        undecided: sentences on what no record of this motion can decide.
+        undecided: what no record of this motion can decide.
         encoder_noise_N: RMS of the force that the encoder's noise leaves, where most of the residual of an adequate or
             unexplained record is that; else 0.
         standalone: whether the extended machine's file has every table; otherwise it extends the base.
@@ -235,10 +223,8 @@ class Diagnosis(Shown):
     machine: Machine
     source: str
     verdict: Verdict
-    summary: str
     causes: tuple[Cause, ...]
     alternatives: tuple[Alternative, ...]
-    separating_experiment: str | None
     rms: Rms
     noise_floor_N: float
     gain_interval_N: tuple[float, float]
@@ -254,7 +240,7 @@ class Diagnosis(Shown):
     warnings: tuple[str, ...]
     seconds: float
     rival_fits: tuple[RivalFit, ...] = ()
-    undecided: tuple[str, ...] = ()
+    undecided: tuple[Statement, ...] = ()
     encoder_noise_N: float = 0.0
     standalone: bool = False
     plain: PlainFriction | None = None
@@ -271,18 +257,32 @@ class Diagnosis(Shown):
     def errors(self) -> dict[str, float]:
         """Simulation error on held-out data over the RMS of the force there: before, after, of plain friction [1]."""
         plain, rms = self.plain, self.rms
-        if plain is None or not plain.force > 0.0:
-            return {}
-        errors = {"before": rms.held_out_before, "after": rms.held_out_after, "plain": plain.held_out}
-        return {key: value / plain.force for key, value in errors.items()}
+        return (plain and relative_errors(rms.held_out_before, rms.held_out_after, plain.held_out, plain.force)) or {}
+
+    @property
+    def summary(self) -> str:
+        """Return the verdict in one sentence."""
+        return self._verdict.sentence
 
     @property
     def standing(self) -> Standing:
         """Return how far the verdict holds."""
-        if not self.excited:
+        verdict = self._verdict
+        if verdict.rule is Rule.STILL:
             return "nothing"
-        open_verdicts: dict[Verdict, Standing] = {"unexplained": "failed", "ambiguous": "undecided"}
-        return open_verdicts.get(self.verdict, "limited" if self.limits else "certain")
+        standings: dict[str, Standing] = {"no": "failed", "open": "undecided"}
+        return standings.get(verdict.sure, "limited" if self.limits else "certain")
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """Sentences on what this record cannot decide."""
+        return tuple(statement.sentence for statement in list_open(self.statements))
+
+    @property
+    def separating_experiment(self) -> str | None:
+        """What to do next, None if nothing."""
+        moves = [f"{s.about}: {s.next}" if s.kind == "choice" else s.next for s in self.statements if s.next]
+        return ". ".join(moves) or None
 
     def identifies(self, cause: Cause) -> bool:
         """Return True if a cause is certain, and the record determines its numbers."""
@@ -290,91 +290,145 @@ class Diagnosis(Shown):
 
     def is_certain(self, cause: Cause) -> bool:
         """Return True if no rival of a cause fits as well, other records agree, and noise does not look like it."""
-        if cause.stands_for or cause.transfers is False or cause.p_value > CHANCE or self.find_combination(cause):
-            return False
-        return all(a.instead_of != cause.name for a in self.alternatives if a.rival)
+        return self.state_cause(cause).sure == "yes"
 
     def find_combination(self, cause: Cause) -> KnownCombination | None:
         """Return the combination with another cause that is known in place of its own numbers, if there is one."""
         return next((known for known in self.combinations if cause.label in known.causes), None)
 
     @property
-    def limits(self) -> tuple[str, ...]:
-        """Sentences on what this record cannot decide."""
-        return tuple(limit.words for limit in self.undecidable)
-
-    @property
-    def undecidable(self) -> tuple[Limit, ...]:
-        """Return the questions that this record does not decide, with the two causes where it is a choice."""
-        named = self.machine.plant.units.named
-        pairs = [
-            Limit(f"{a.instead_of} or {a.name}: {a.why_not}", (a.instead_of, a.name))
-            for a in self.alternatives
-            if a.rival and a.instead_of
-        ]
-        vague = [
-            f"{cause.name}: the record does not determine {', '.join(map(named, cause.vague))}"
-            for cause in self.causes
-            if cause.vague
-        ]
-        unknown = [
-            Limit(f"{named(b.name)}: the record does not show it", number=b.name)
-            for b in self.base
-            if not math.isfinite(b.std)
-        ]
-        collinear = (known.describe() for known in self.combinations)
-        differing = (one.describe(self.machine.plant.units) for one in self.differences)
-        noise = (
-            f"{cause.label}: noise looks like it with a chance of {cause.p_value:.2f}"
-            for cause in self.causes
-            if cause.p_value > CHANCE
-        )
-        others = (*differing, *self.undecided, *self._parts, *vague, *noise, *collinear, *self.contradictions)
-        return (*map(Limit, self._left), *pairs, *map(Limit, others), *unknown)
-
-    @property
-    def _left(self) -> tuple[str, ...]:
-        """Return the residual's dependences where it has one."""
-        unit, rms = self.machine.plant.units.force, self.rms.held_out_after
-        if self.encoder_noise_N > 0.0:
-            return (
-                f"{rms:.3g} {unit} are left, about {self.encoder_noise_N:.2g} {unit} of them noise of the encoder: "
-                "what acts on this axis below that does not show",
-            )
-        if self.verdict != "unexplained" or not self.excited:
-            return ()
+    def statements(self) -> tuple[Statement, ...]:
+        """Return every judgement, the verdict first."""
+        learned = () if self.learned is None else self.learned.state(self.machine.plant.units.force)
         return (
-            f"{rms:.3g} {unit} are left, {rms / self.noise_floor_N:.2g} times the noise: something acts on this axis "
-            "that no cause in the catalogue accounts for",
-        )
-
-    @property
-    def _parts(self) -> tuple[str, ...]:
-        """Return the causes that stand for something else."""
-        return tuple(
-            f"{names}: {words}"
-            for part, words in STANDS_FOR_WORDS.items()
-            if (names := ", ".join(dict.fromkeys(cause.name for cause in self.causes if cause.stands_for == part)))
-        )
-
-    @property
-    def contradictions(self) -> tuple[str, ...]:
-        """Return the sentences on what does not hold on other records."""
-        differing = {one.group.name for one in self.differences}
-        contradicted = [c.label for c in self.causes if c.transfers is False and c.label not in differing]
-        asked = {t.label for record in self.records[:1] for t in record.causes}  # the first too: they are of all
-        records = () if self.extended is None else self.records[1:]
-        unit = self.machine.plant.units.force
-        learned = () if self.learned is None else self.learned.list_contradictions(unit)
-        return (
-            *list_contradictions([label for label in contradicted if label not in asked], records, unit),
-            *(
-                f"{label}: not of every record, on one it makes the residual larger"
-                for label in contradicted
-                if label in asked
-            ),
+            self._verdict,
+            *self._state_residual(),
+            *self._state_choices(),
+            *(s for cause in self.causes for s in (self.state_cause(cause), *self.state_numbers(cause))),
+            *(known.state() for known in self.combinations),
+            *self.undecided,
+            *self._state_records(),
             *learned,
+            *self._state_base(),
         )
+
+    @property
+    def said(self) -> tuple[Statement, ...]:
+        """Return the statements but those on numbers of the base model that a refit leaves, for terminal and file."""
+        return tuple(statement for statement in self.statements if statement.rule is not Rule.REFITTED)
+
+    def _state(
+        self, rule: Rule, about: str, value: float, next: str | None = None, **numbers: float | str
+    ) -> Statement:
+        """Return a statement on a force."""
+        return Statement(rule, about, value, None, self.machine.plant.units.force, numbers, next)
+
+    @property
+    def _verdict(self) -> Statement:
+        """Return the statement on the record as a whole."""
+        named = [cause.name for cause in self.causes]
+        certain = ", ".join(cause.name for cause in self.causes if not cause.stands_for)
+        if not self.excited:
+            rule = Rule.STILL
+        elif self.verdict == "unexplained":
+            unnamed = Rule.UNEXPLAINED if certain else Rule.UNNAMED
+            rule = Rule.HIDDEN if self.encoder_noise_N > 0.0 else unnamed
+        elif self.verdict == "adequate":
+            rule = Rule.ROUGH if self.is_rough else Rule.ADEQUATE
+        else:
+            rule = Rule.AMBIGUOUS if self.verdict == "ambiguous" else Rule.EXPLAINED
+        others = dict.fromkeys(a.name for a in self.alternatives if a.rival and a.name not in named)
+        return self._state(
+            rule,
+            "record",
+            self.rms.held_out_after,
+            None if self.excited else MOTION,
+            before_N=self.rms.held_out_before,
+            noise_floor_N=self.noise_floor_N,
+            encoder_N=self.encoder_noise_N,
+            names=certain or ", ".join(named) or "nothing",
+            others=", ".join(others),
+        )
+
+    def _state_residual(self) -> Iterator[Statement]:
+        """Yield what is left, with the motion or the log that shows more of it."""
+        rms, move = self.rms.held_out_after, None
+        if self.verdict == "unexplained":
+            curved = any(cause.stands_for == "curve over speed" for cause in self.causes)
+            move = FINER if self.encoder_noise_N > 0.0 else PLATEAUS if curved else TWICE
+        if self.encoder_noise_N > 0.0:
+            yield self._state(Rule.ENCODER, "residual", rms, move, encoder_N=self.encoder_noise_N)
+        elif self.verdict == "unexplained" and self.excited:
+            yield self._state(Rule.LEFT, "residual", rms, move, ratio=rms / self.noise_floor_N)
+
+    def _state_choices(self) -> Iterator[Statement]:
+        """Yield the choices between a named cause and a rival, with the move that makes each."""
+        for a in self.alternatives:
+            if a.rival and a.instead_of is not None:
+                wanted = dict.fromkeys(cause_definition(name).excitation.text for name in (a.instead_of, a.name))
+                move = next(iter(separating_moves(a.instead_of, a.name)), "; and ".join(wanted))
+                names = {"named": a.instead_of, "rival": a.name}
+                yield self._state(Rule.RIVAL, f"{a.instead_of} or {a.name}", math.nan, move, **names)
+
+    def state_cause(self, cause: Cause) -> Statement:
+        """Return the statement on a named cause: the gravest doubt, or the force that it explains."""
+        asked = {t.label for record in self.records[:1] for t in record.causes}  # the first too: they are of all
+        doubts = {
+            Rule.UNEQUAL: any(one.group.name == cause.label for one in self.differences),
+            Rule.NOT_EVERYWHERE: cause.transfers is False and cause.label in asked,
+            Rule.FIRST_ALONE: cause.transfers is False,
+            Rule.NAMELESS: cause.stands_for == "what has no name",
+            Rule.PART_OF_CURVE: cause.stands_for == "curve over speed",
+            Rule.CHANCE: cause.p_value > CHANCE,
+            Rule.HAS_RIVAL: any(a.rival and a.instead_of == cause.name for a in self.alternatives),
+            Rule.COMBINED: self.find_combination(cause) is not None,
+            Rule.NO_GAIN: not cause.gain_interval_N[0] > 0.0,
+            Rule.TRANSFERS: bool(cause.transfers),
+        }
+        rule = next((rule for rule, holds in doubts.items() if holds), Rule.FOUND)
+        numbers = {"p_value": cause.p_value}
+        unit = self.machine.plant.units.force
+        return Statement(rule, cause.label, cause.gain_N, cause.gain_interval_N, unit, numbers)
+
+    def state_numbers(self, cause: Cause) -> Iterator[Statement]:
+        """Yield the numbers of a cause."""
+        units, settled = self.machine.plant.units, Rule.DETERMINED if self.is_certain(cause) else Rule.OF_DOUBTFUL
+        differing = {one.reported_name: one.state(units) for one in self.differences}
+        for name, value in cause.parameters.items():
+            rule, about = Rule.VAGUE if name in cause.vague else settled, f"{cause.label}.{units.named(name)}"
+            number = Statement.of_number(rule, about, value, cause.std.get(name, math.nan), units.unit(name))
+            other = differing.get(name) or differing.get(f"{cause.label}.{name}")
+            yield number if other is None else replace(other, about=about)
+
+    def _state_records(self) -> Iterator[Statement]:
+        """Yield the errors along each record, and whether the extended machine is worth anything there."""
+        push = self.machine.plant.units.push
+        errors = {record.name: record.errors for record in self.records} or {self.source: self.errors}
+        for name, shares in errors.items():
+            percents = {key: 100.0 * share for key, share in shares.items()}
+            if percents:
+                yield Statement(Rule.SEEN, name, percents.pop("after"), None, "%", percents | {"push": push})
+        for record in self.records[1:] if self.extended is not None else ():
+            if record.is_worse_than_plain:
+                yield self._state(Rule.NOT_RECOMMENDED, record.name, record.held_out_after, plain_N=record.plain)
+        yield from (one.state(push) for one in self.written if self.extended is not None)
+
+    def _state_base(self) -> Iterator[Statement]:
+        """Yield the machine's numbers but those of causes: that differ between records, are refuted, are refitted."""
+        units = self.machine.plant.units
+        stated = {name for c in self.causes for key in c.parameters for name in (key, f"{c.label}.{key}")}
+        own = [(one.reported_name, one.state(units)) for one in self.differences]
+        for n in self.refuted if self.is_rough else ():
+            unit, about = units.unit(n.name), units.named(n.name)
+            own.append((n.name, Statement.of_number(Rule.REFUTED, about, n.record, n.std, unit, file=n.file)))
+        for name, statement in own:
+            if name not in stated:
+                stated.add(name)
+                yield statement
+        for b in self.base:
+            if (name := reported_name(b.name)) not in stated:
+                value, rule = (b.refitted, Rule.REFITTED) if math.isfinite(b.std) else (math.nan, Rule.UNSEEN)
+                yield Statement.of_number(rule, units.named(b.name), value, b.std, units.unit(name), file=b.nominal)
 
     @property
     def extended_name(self) -> str | None:
@@ -385,7 +439,8 @@ class Diagnosis(Shown):
         """Return the extended machine's file as it is to lie in a folder: the path to the base leads from there."""
         if self.extended is None or self.changes is None:
             return None
-        return extension_toml(self.machine, self.extended, self.changes, Path(folder), self.standalone)
+        lines = [statement.line for statement in self.said]
+        return extension_toml(self.machine, self.extended, self.changes, Path(folder), lines, alone=self.standalone)
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame with a row per parameter of each cause: value, deviation, whether it is determined."""
@@ -396,7 +451,7 @@ class Diagnosis(Shown):
             "parameter": np.array([named(name) for _, name in rows]),
             "value": np.array([cause.parameters[name] for cause, name in rows]),
             "std": np.array([cause.std.get(name, math.nan) for cause, name in rows]),
-            "identified": np.array([self.identifies(cause) and name not in cause.vague for cause, name in rows]),
+            "identified": np.array([self.identifies(cause) for cause, _ in rows]),
         }
         return data_frame(columns)
 
@@ -410,13 +465,8 @@ class Diagnosis(Shown):
         return axes
 
     def _shown(self) -> Presentation:
-        named = self.machine.plant.units.named
-        rows = [
-            (cause.name, named(name), interval(value, cause.std.get(name, math.nan)))
-            for cause in self.causes
-            for name, value in cause.parameters.items()
-        ]
-        return f"{self.verdict}: {self.summary}", ("cause", "parameter", "value +- 2 sigma"), rows
+        rows = [(s.kind, s.line, s.next or "") for s in self.said[1:]]
+        return f"{self.verdict}: {self.summary}", ("kind", "statement", "next"), rows
 
     def to_json(self) -> dict[str, Any]:
         """Content of diagnosis.json; what is not finite becomes null."""
@@ -424,8 +474,7 @@ class Diagnosis(Shown):
         return make_document(
             self.machine,
             self.verdict,
-            self.summary,
-            self.limits,
+            self.statements,
             causes=[
                 {
                     "name": cause.name,

@@ -49,7 +49,7 @@ from sgms_mhe.diagnosis.selection import Searched, drop_effects, search_causes, 
 from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.diagnosis.traces import Traces
 from sgms_mhe.diagnosis.uncertainty import FLOOR_SURE, MOSTLY, inertial_noise
-from sgms_mhe.diagnosis.wording import choose_experiment, list_alternatives, summarise
+from sgms_mhe.diagnosis.wording import list_alternatives
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import gain_interval, noise_floor
@@ -301,20 +301,14 @@ def _diagnosis(
     rms_after, held_after = split_rms(unseen, record)
     extended, changes = extended_machine(record.machine, final, selection, causes, machine) if named else (None, None)
     held = record.held_out
-    alternatives = list_alternatives(selection, machine.plant.units)
-    rivals = [alternative for alternative in alternatives if alternative.rival]
     encoder = _force_of_noise(final) if verdict in ("unexplained", "adequate") else 0.0
     hidden_by = min(encoder, held_after) if encoder**2 > MOSTLY * held_after**2 else 0.0
     return Diagnosis(
         machine=machine,
         source=source,
         verdict=verdict,
-        summary=summarise(
-            verdict, causes, rivals, held_before, held_after, machine.plant.units, hidden_by, is_rough=begun is not None
-        ),
         causes=causes,
-        alternatives=alternatives,
-        separating_experiment=choose_experiment(verdict, causes, rivals, hidden_by),
+        alternatives=list_alternatives(selection, machine.plant.units),
         rms=Rms(rms_before, rms_after, held_before, held_after),
         noise_floor_N=floor,
         gain_interval_N=gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held])
@@ -432,10 +426,8 @@ def _report_standstill(machine: Machine, source: str, recording: Recording, nomi
         machine=machine,
         source=source,
         verdict="adequate" if excess < allowed_excess(machine, floor) else "unexplained",
-        summary="There is no excitation in this record: the axis hardly moves, so nothing can be said about friction.",
         causes=(),
         alternatives=(),
-        separating_experiment="record a motion: strokes in both directions at several speeds, with reversals and rests",
         rms=Rms(rms, rms, held, held),
         noise_floor_N=floor,
         gain_interval_N=(0.0, 0.0),

@@ -10,6 +10,7 @@ from sgms_mhe.diagnosis.document import make_document
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.files import write_text
+from sgms_mhe.support.statements import Rule, Statement
 
 
 def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
@@ -30,7 +31,8 @@ def write_extended(diagnosis: Diagnosis, folder: Path) -> None:
 
 def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:
     """Write diagnosis.json of a log that cannot be what it says, and nothing else; return its content."""
-    content = make_document(machine, "unexplained", sentence, [sentence], law=machine.friction.law)
+    refusal = Statement(Rule.REFUSED, "record", numbers={"reason": sentence})
+    content = make_document(machine, "unexplained", [refusal], law=machine.friction.law, limits=[sentence])
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "diagnosis.json", json.dumps(content, indent=2) + "\n")

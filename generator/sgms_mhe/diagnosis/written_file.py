@@ -10,9 +10,10 @@ import numpy as np
 
 from sgms_mhe.configuration import step_every_sample
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.machine import Machine, Units
+from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import Signals, signals_of_record
 from sgms_mhe.signals.logs import Log, align_velocity
+from sgms_mhe.support.statements import Rule, Statement
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,11 @@ class WrittenError:
         after = before if written is None else _run(written, log)[0]
         return cls(log.source or "log", before, after, force)
 
-    def describe(self, units: Units) -> str:
-        """Return it in a sentence."""
-        before, after = (f"{value / self.force:.3g}" for value in (100.0 * self.before, 100.0 * self.after))
-        return f"{self.name}: {before} % of the {units.push}'s RMS with the file as it was, {after} % as written"
+    def state(self, push: str) -> Statement:
+        """Return the statement on it; `push`: what moves the axis."""
+        force = self.force if self.force > 0.0 else math.nan
+        numbers: dict[str, float | str] = {"before": 100.0 * self.before / force, "push": push}
+        return Statement(Rule.WRITTEN, self.name, 100.0 * self.after / force, None, "%", numbers)
 
     def to_json(self) -> dict[str, Any]:
         """Return its entry in diagnosis.json, keys of a linear axis."""

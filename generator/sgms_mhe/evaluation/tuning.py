@@ -31,6 +31,7 @@ from sgms_mhe.signals.logs import Log, align_velocity
 from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import Presentation, Shown
+from sgms_mhe.support.statements import Rule, Statement
 
 Progress = Callable[[str], None]
 
@@ -96,8 +97,23 @@ class Tuned(Shown):
     trials: Mapping[str, tuple[tuple[float, Trial], ...]]
     kept: tuple[str, ...]
 
+    @property
+    def statements(self) -> tuple[Statement, ...]:
+        """Return the statements on every weight that was moved, and on what the log is like under them."""
+        start, best, estimator = self.start, self.best, self.machine.estimator
+        found = []
+        for name in (name for name, tried in self.trials.items() if len(tried) > 1):
+            own = float(estimator.horizon if name == "horizon" else getattr(estimator.noise, name))
+            chosen = float(self.horizon or own) if name == "horizon" else best.changes.get(name, own)
+            kept = Rule.EQUAL if name in self.kept else Rule.LIKELIEST
+            found.append(Statement(kept if chosen == own else Rule.LIKELIER, name, chosen, numbers={"file": own}))
+        numbers = {"before": start.ratio, "start": start.mean, "end": best.mean}
+        found.append(Statement(Rule.RATIO, "mean test ratio", best.ratio, numbers=numbers))
+        return (*found, Statement(Rule.CROWDED, "sampling.measurement_rate")) if self.crowded else tuple(found)
+
     def _shown(self) -> Presentation:
-        return f"{self.machine.name}: {self.changes() or 'no other weights'}", (), ()
+        rows = [(statement.line,) for statement in self.statements]
+        return f"{self.machine.name}: {self.changes() or 'no other weights'}", ("statement",), rows
 
     @property
     def crowded(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -11,9 +11,11 @@ import numpy as np
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
+from sgms_mhe.model.effects import reported_name
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, REFUSED, has_measurement, select_flags
 from sgms_mhe.support.arrays import Array, Mask
+from sgms_mhe.support.statements import Rule, Statement
 
 WORDS: Final[Mapping[str, str]] = {
     REFUSED: "refused: the last good estimate is kept",
@@ -169,6 +171,25 @@ class RunSummary:
     def residual_rms_N(self) -> float | None:
         """RMS of measured minus estimated friction over the updates with a measurement; None without one."""
         return float(np.sqrt(self._squares / self.measured)) if self.measured else None
+
+    def state(self, remarks: Sequence[str] = ()) -> tuple[Statement, ...]:
+        """Return the statements on the run: its faults, the numbers at its end, remarks on the log."""
+        last, units = self.latest, self.machine.plant.units
+        if last is None:
+            return ()
+        rule = Rule.IN_DOUBT if set(flags_of(int(last.status[0]))) & {REFUSED, "doubt"} else Rule.DETERMINED
+        return (
+            Statement(Rule.FAULTY, "run", self.faults) if self.faults else Statement(Rule.FAULTLESS, "run", 0.0),
+            *(
+                Statement.of_number(rule, units.named(name), float(value), float(std), units.unit(reported_name(name)))
+                for name, value, std in zip(self.names, last.parameters[0], last.std[0], strict=True)
+            ),
+            *(
+                Statement(Rule.FAULT, WORDS[e.fault], numbers={k: v for k, v in vars(e).items() if k != "fault"})
+                for e in self.episodes
+            ),
+            *(Statement(Rule.REMARK, remark) for remark in remarks),
+        )
 
     def summary(self) -> dict[str, Any]:
         """All of it as plain data, but for the trends."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -27,6 +27,7 @@ from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition, sep
 from sgms_mhe.recordings.excitation import find_speeds_apart
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.numbers import interval
+from sgms_mhe.support.statements import Rule, Statement
 
 KNOWN: Final = 0.25
 """Deviation over value up to which a number counts as determined."""
@@ -35,10 +36,6 @@ UNTOLD: Final = 10.0
 ROUNDING: Final = 1e-12
 RISE_SURE: Final = 2.0
 """Standard deviations above its value that a Stribeck velocity may have."""
-STAND_IN: Final = "not determined: a stand-in"
-DEFAULT: Final = "not determined: the default"
-"""Note of a number; the sentence on its cause in the file's head has the reason."""
-AMBIGUOUS: Final = "ambiguous"
 SLID: Final = 0.25
 """Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
 MISFIT: Final = 2.0
@@ -149,21 +146,24 @@ def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Numb
     if "viscous" in found:
         numbers.append(_number("viscous", found["viscous"]))
     else:
-        numbers.append(Number("viscous", 0.0, math.nan, False, DEFAULT))
+        numbers.append(Number("viscous", 0.0, math.nan, Rule.DEFAULT))
     if shape.rise is None:
-        numbers.append(Number("stribeck_ratio", 0.0, math.nan, False, DEFAULT))
+        numbers.append(Number("stribeck_ratio", 0.0, math.nan, Rule.DEFAULT))
         # It opens the gate of the elements alone: no later than where one breaks away within a sample.
         gate = final.view.rows.machine.sampling.rate * float(shape.distances.min())
-        numbers.append(Number("stribeck_velocity", min(NO_RISE.velocity, gate), math.nan, False, DEFAULT))
+        numbers.append(Number("stribeck_velocity", min(NO_RISE.velocity, gate), math.nan, Rule.DEFAULT))
     else:
         numbers += [_number(name, found[name]) for name in ("stribeck_ratio", "stribeck_velocity")]
-    numbers = [replace(n, determined=False, note=n.note or STAND_IN) if _stem(n.name) in unseen else n for n in numbers]
+    numbers = [_doubt(n) if _stem(n.name) in unseen else n for n in numbers]
     numbers += effect_numbers(final)
     if find_speeds_apart(final.view.rows) is not None:
-        numbers = [
-            n if _stem(n.name) in ELASTIC else replace(n, determined=False, note=n.note or STAND_IN) for n in numbers
-        ]
+        numbers = [n if _stem(n.name) in ELASTIC else _doubt(n) for n in numbers]
     return tuple(numbers)
+
+
+def _doubt(number: Number) -> Number:
+    """Return a number that the records do not show, whatever its deviation."""
+    return replace(number, rule=Rule.STAND_IN) if number.determined else number
 
 
 def _stem(name: str) -> str:
@@ -198,10 +198,10 @@ def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
                 largest = max(abs(other) for name, other in values.items() if parameter.holds(name))
                 number = replace(_number(number.name, NumberEstimate(largest, std), *limits), value=number.value)
             if parameter.is_angle:  # it is no share of itself
-                number = replace(number, determined=std <= KNOWN, note="" if std <= KNOWN else STAND_IN)
+                number = replace(number, rule=Rule.DETERMINED if std <= KNOWN else Rule.STAND_IN)
             others = final.rivals.get(term.name, ())
             if others:
-                number = replace(number, determined=False, note=f"{AMBIGUOUS}: or {', '.join(others)}")
+                number = replace(number, rule=Rule.ALIKE, words={"others": ", ".join(others)})
             numbers.append(number)
     return tuple(numbers)
 
@@ -216,49 +216,41 @@ def _number(name: str, quantity: NumberEstimate, lower: float = 0.0, upper: floa
     """Return a number of these limits; without a deviation where that says no more than they do."""
     value, std = quantity.value, math.hypot(quantity.std, quantity.spread)
     if quantity.std <= ROUNDING * abs(value):  # the share of an only element
-        return Number(name, value, math.nan, True)
+        return Number(name, value, math.nan)
     if quantity.relative <= KNOWN:
-        return Number(name, value, std, True)
+        return Number(name, value, std)
     room = min(upper - lower, UNTOLD * abs(value - lower), UNTOLD * abs(upper - value))
     if not 2.0 * std < room:
-        return Number(name, float(f"{value:.3g}"), math.nan, False, STAND_IN)
-    return Number(name, value, std, False, STAND_IN)
+        return Number(name, float(f"{value:.3g}"), math.nan, Rule.STAND_IN)
+    return Number(name, value, std, Rule.STAND_IN)
 
 
 def mass_number(
     final: FinalIdentification, given: float | None, adopted: float, units: Units
-) -> tuple[Number, tuple[str, ...]]:
-    """The mass, or inertia, that is written, and what is to be said of it."""
-    seen, inert, unit = final.mass, units.inert, units.mass
-    if given is None:
-        if seen is None:  # refused before
-            raise ValueError("neither a mass nor a motion that shows one")
-        std = math.hypot(seen.std, seen.spread)
-        return Number("mass", adopted, std, True, f"of the motion, as the {units.push}'s scale has it"), ()
+) -> tuple[Number, tuple[Statement, ...]]:
+    """The mass, or inertia, that is written, and the choice where another one was given."""
+    seen = final.mass
     if seen is None:
-        sentence = f"{inert}: as given, the motion does not show it. Needed: {MOVES['jerks']} (sgms-mhe plan)"
-        return Number("mass", adopted, math.nan, False, "as given; the motion does not show it"), (sentence,)
+        if given is None:  # refused before
+            raise ValueError("neither a mass nor a motion that shows one")
+        return Number("mass", adopted, math.nan, Rule.MASS_UNSEEN, next=f"{MOVES['jerks']} (sgms-mhe plan)"), ()
+    if given is None:
+        return Number("mass", adopted, math.hypot(seen.std, seen.spread), Rule.MASS_SEEN, {"push": units.push}), ()
+    motion = interval(seen.value, seen.std)
     if adopted == given:
-        shown = f"as given; the motion shows {interval(seen.value, seen.std)}"
-        return Number("mass", given, math.nan, True, shown), ()
-    ratio = adopted / given
-    sentence = (
-        f"{inert}: {given:g} {unit} was given, and the motion shows {interval(seen.value, seen.std)} {unit}. "
-        f"Either the {inert} is that, or the logged {units.push} is {ratio:.4g} times the real one: then scale it in "
-        f"[log] and identify again. The file has the {inert} that goes with the {units.push} as logged"
-    )
-    return Number("mass", adopted, seen.std, True, f"of the motion; {given:g} was given"), (sentence,)
+        return Number("mass", given, math.nan, Rule.MASS_HOLDS, {"motion": motion}), ()
+    words: dict[str, float | str] = {"given": given, "motion": motion, "push": units.push, "ratio": adopted / given}
+    move = f"where it is the {units.push}, a scale in [log]; the file has the {units.inert} that goes with it as logged"
+    choice = Statement(Rule.SCALE, units.inert, adopted, unit=units.mass, numbers=words, next=move)
+    return Number("mass", adopted, seen.std, Rule.MASS_MOVED, {"given": given}), (choice,)
 
 
-def unknown_mass(given: float | None, stand_in: float, units: Units) -> tuple[Number, tuple[str, ...]]:
-    """Return the mass, or inertia, that is written where friction alone was recorded, and the sentence on it."""
+def unknown_mass(given: float | None, stand_in: float, units: Units) -> Number:
+    """Return the mass, or inertia, that is written where friction alone was recorded."""
     if given is not None:
-        return Number("mass", given, math.nan, False, "as given; friction alone was recorded"), ()
-    sentence = (
-        f"{units.inert}: friction alone was recorded, no {units.push}. The file has {stand_in:g} {units.mass}, on "
-        f"which no other number depends; state it before a {units.push} is read with the file"
-    )
-    return Number("mass", stand_in, math.nan, False, STAND_IN), (sentence,)
+        return Number("mass", given, math.nan, Rule.MASS_GIVEN)
+    move = f"its value, before a {units.push} is read with the file"
+    return Number("mass", stand_in, math.nan, Rule.MASS_FREE, next=move)
 
 
 def list_limits(
@@ -268,120 +260,74 @@ def list_limits(
     view: RecordView,
     units: Units,
     unexcited: Sequence[str],
-) -> list[str]:
-    """Return the open questions of the records, with the move that would answer each.
+) -> Iterator[Statement]:
+    """Yield the open questions of the records, with the move that would answer each.
 
     `unexcited`: numbers that the motion cannot show (`list_unexcited`).
     """
-    length = units.position
-    said = []
+    length, speed = units.position, units.velocity
     if not found.decided and found.other is not found.fit:
-        said.append(
-            f"law: the logs do not tell elements that switch from smooth ones ({found.other.cross_rms:.3g} and "
-            f"{found.fit.cross_rms:.3g} {units.force} are left); sgms is the default. {_needed('stiffness')}"
-        )
+        left = {"other": found.other.cross_rms}
+        yield Statement(Rule.LAW, "law", found.fit.cross_rms, None, units.force, left, _needed("stiffness"))
     unknown = {number.name for number in numbers if not number.determined}
-    slow, apart = _too_slow(final, view, units), _apart(final, view, units)
-    said += apart or [
-        f"{name}: not determined{slow or _reason(name, CONTROLLED[name][0] in unexcited)}"
-        for name in ("coulomb", "viscous", "stribeck")
-        if unknown & set(CONTROLLED[name])
-    ]
-    said += [
-        f"{name}: ambiguous, this motion does not tell it from {other}. Needed: "
-        f"{'; '.join(separating_moves(name, other))}"
-        for name, others in final.rivals.items()
-        for other in others
-    ]
-    said += [
-        f"{name}: not determined, this motion does not tell it from the {units.inert}, which is as given. "
-        f"Needed: {MOVES['jerks']} (sgms-mhe plan)"
-        for name in final.beside_mass
-        if name not in final.rivals and any(number.startswith(f"{name}.") for number in unknown)
-    ]
-    said += _late(final, view, units)
-    travel, fit = view.rows.extents.travel, final.fit
-    for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
-        element = f"element {k} (breaks away after {distance:.2g} {length})"
+    beside = [term.name for term in final.fit.terms if term.name not in LAW_AND_SAMPLING]
+    if (speeds := find_speeds_apart(view.rows)) is not None:
+        about = ", ".join(("coulomb", "viscous", "stribeck", *beside))
+        both = "the same speeds both ways"
+        yield Statement(Rule.ONE_WAY, about, speeds[0], None, speed, {"back": speeds[1]}, both)
+    else:
+        fastest, rise = view.rows.extents.speed, final.numbers.get("stribeck_velocity")
+        slow = rise is not None and rise.value + RISE_SURE * rise.std > fastest
+        for name in ("coulomb", "viscous", "stribeck"):
+            if not unknown & set(CONTROLLED[name]):
+                continue
+            if slow:
+                yield Statement(Rule.TOO_SLOW, name, fastest, unit=speed, next=_needed("stribeck"))
+            elif CONTROLLED[name][0] in unexcited:
+                yield Statement(Rule.UNEXCITED, name, next=_needed(name))
+            else:
+                motion = {"motion": cause(name).excitation.text}
+                yield Statement(Rule.COVERED, name, numbers=motion, next="more of that motion")
+    for name, others in final.rivals.items():
+        for other in others:
+            yield Statement(Rule.UNTOLD, name, numbers={"other": other}, next="; ".join(separating_moves(name, other)))
+    for name in final.beside_mass:
+        if name not in final.rivals and any(number.startswith(f"{name}.") for number in unknown):
+            move = f"{MOVES['jerks']} (sgms-mhe plan)"
+            yield Statement(Rule.LIKE_MASS, name, numbers={"inert": units.inert}, next=move)
+    if is_apart(final.fit, final.cov, view):
+        late = float(final.fit.coefficient(LATE)[0])
+        words = {
+            "push": units.push,
+            "side": "after" if late > 0.0 else "before",
+            "force_N": late_force(final.fit, view),
+        }
+        yield Statement(Rule.TIMING, "timing", 1e3 * abs(late), None, units.force, words, "sgms-mhe diagnose")
+    travel, distances = view.rows.extents.travel, final.fit.shape.distances.tolist()
+    for k, distance in enumerate(distances, start=1):
+        about = f"element {k}"
         if final.unresolved[k - 1]:
-            said.append(
-                f"element {k} (breaks away within {view.limits[0]:.2g} {length}): earlier than the log resolves; the "
-                f"file has the stiffest one that it does, {level / view.limits[0]:.2g} {units.stiffness}"
-            )
+            yield Statement(Rule.UNRESOLVED, about, view.limits[0], unit=length)
         elif distance > SLID * travel:
-            said.append(
-                f"{element}: its level is open, {travel:.2g} {length} of travel are too few; it may be a spring"
-            )
+            yield Statement(Rule.NOT_REACHED, about, distance, unit=length, numbers={"travel": travel})
         elif unknown & {f"stiffness_{k}", f"fraction_{k}"}:
-            said.append(
-                f"{element}: not determined by itself. {_needed('stiffness')}, about {distance:.1g} {length} wide"
-            )
-    return said
+            move = f"{_needed('stiffness')}, about {distance:.1g} {length} wide"
+            yield Statement(Rule.NOT_ALONE, about, distance, unit=length, next=move)
 
 
-def list_misfit(residual: float, floor: float, units: Units) -> list[str]:
-    """Return the sentence on a residual well above the noise: intervals hold where it has no pattern.
+def list_misfit(residual: float, floor: float, units: Units) -> Iterator[Statement]:
+    """Yield the statement on a residual well above the noise: intervals hold where it has no pattern.
 
     Args:
         residual: on data that no fit has seen [N, N m].
         floor: noise of the measured friction [N, N m].
         units: of the axis.
     """
-    if residual <= MISFIT * floor:
-        return []
-    return [
-        f"residual: {residual:.2g} {units.force} rms is left that nothing here explains, on data that no fit has seen: "
-        f"{residual / floor:.2g} times the noise floor. Intervals take it for a disturbance without a pattern: an "
-        "effect that this file lacks may have moved numbers beyond them. sgms-mhe diagnose looks for it"
-    ]
-
-
-def _late(final: FinalIdentification, view: RecordView, units: Units) -> list[str]:
-    """Return the sentence on force and position that are apart in time: no number holds it, and no machine either."""
-    if not is_apart(final.fit, final.cov, view):
-        return []
-    late = float(final.fit.coefficient(LATE)[0])
-    which = "after" if late > 0.0 else "before"
-    return [
-        f"the {units.push} comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: "
-        f"{late_force(final.fit, view):.2g} {units.force} rms the file has not; sgms-mhe diagnose tells a delay from "
-        "a lag"
-    ]
-
-
-def _too_slow(final: FinalIdentification, view: RecordView, units: Units) -> str:
-    """Return that the rise towards low speed may go on beyond the fastest motion; empty where it is over before."""
-    fastest, velocity = view.rows.extents.speed, final.numbers.get("stribeck_velocity")
-    if velocity is None or velocity.value + RISE_SURE * velocity.std <= fastest:
-        return ""
-    return (
-        f": no motion is faster than {fastest:.2g} {units.velocity}, where the rise towards low speed may not be over. "
-        f"{_needed('stribeck')}"
-    )
-
-
-def _apart(final: FinalIdentification, view: RecordView, units: Units) -> list[str]:
-    """Return that each direction has speeds of its own, and what hangs on that; nothing where both share some."""
-    speeds = find_speeds_apart(view.rows)
-    if speeds is None:
-        return []
-    beside = [term.name for term in final.fit.terms if term.name not in LAW_AND_SAMPLING]
-    return [
-        f"{', '.join(('coulomb', 'viscous', 'stribeck', *beside))}: not determined: forth the axis moves at "
-        f"{speeds[0]:.2g}, back at {speeds[1]:.2g} {units.velocity}, so friction that changes with speed, with load "
-        "too, and a force that keeps its direction are one. Needed: the same speeds both ways"
-    ]
-
-
-def _reason(name: str, is_unexcited: bool) -> str:
-    """Return the motion that would show a cause; where the logs have it, that it was not enough."""
-    if is_unexcited:
-        return f". {_needed(name)}"
-    return (
-        f", though the motion has {cause(name).excitation.text}: noise, or other forces, hide it. More of that motion"
-    )
+    if residual > MISFIT * floor:
+        ratio = {"ratio": residual / floor}
+        yield Statement(Rule.MISFIT, "residual", residual, None, units.force, ratio, "sgms-mhe diagnose")
 
 
 def _needed(name: str) -> str:
     """Return the motion that shows a cause, and how to get one."""
-    return f"Needed (sgms-mhe plan makes such a motion): {cause(name).excitation.text}"
+    return f"{cause(name).excitation.text} (sgms-mhe plan makes such a motion)"

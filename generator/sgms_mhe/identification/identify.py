@@ -63,6 +63,7 @@ from sgms_mhe.signals.noise import encoder_step
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import one_library_thread
+from sgms_mhe.support.statements import Rule, Statement, list_open
 
 Array = NDArray[np.float64]
 
@@ -75,9 +76,6 @@ NO_MASS: Final = 1.0
 """Mass [kg], or inertia [kg m^2], that stands in the file where friction alone was recorded: nothing depends on it."""
 AS_MUCH: Final = 0.9
 """Share of what least squares leaves from which on as much is left beside errors of timing."""
-LEAST_SQUARES: Final = (
-    "the file is that of least squares of mass, Coulomb and viscous friction and forces over the place"
-)
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ class Explored:
         measured: what the motion holds, by measure.
         plain_rms: what a file of least squares leaves on data that no fit has seen [N]; NaN: nobody asked.
         is_plain: whether this is that of least squares.
-        said: sentences on the two.
+        said: statements on the two.
         unseen: numbers of the law that the records do not show, whatever their deviation.
     """
 
@@ -128,7 +126,7 @@ class Explored:
     measured: Mapping[Measure, float]
     plain_rms: float = math.nan
     is_plain: bool = False
-    said: tuple[str, ...] = ()
+    said: tuple[Statement, ...] = ()
     unseen: tuple[str, ...] = ()
 
     @property
@@ -192,11 +190,9 @@ def _choose(begun: Begun, explored: Explored, known: Known) -> Explored:
     )
     beside, left = measure_unseen(view, timed[0])[0], measure_unseen(view, plain[0])[1]
     apart = is_apart(final.fit, final.cov, final.view)
-    is_less, unit = left < (1.0 - MATERIAL) * final.stated_rms, begun.records.machine.plant.units.force
-    bent = (
-        f"least squares leaves {left:.3g} {unit}, this file {final.stated_rms:.3g}, but {final.held_out_rms:.3g} "
-        "beside errors of timing that no file states: to those least squares bends its numbers"
-    )
+    is_less, units = left < (1.0 - MATERIAL) * final.stated_rms, begun.records.machine.plant.units
+    numbers = {"own": final.stated_rms, "timed": final.held_out_rms}
+    bent = Statement(Rule.BENT, "file", left, None, units.force, numbers)
     explored = replace(explored, plain_rms=left, said=(bent,) if is_less and not apart else ())
     none = not apart and is_less and final.held_out_rms > AS_MUCH * left
     if not plain[0].coulomb > 0.0 or not (none or beside < (1.0 - MATERIAL) * final.held_out_rms):
@@ -206,10 +202,10 @@ def _choose(begun: Begun, explored: Explored, known: Known) -> Explored:
     if own >= final.stated_rms:
         return explored
     if final.mass is not None and found.final.mass is None and not known.mass:
-        inert = begun.records.machine.plant.units.inert
-        return replace(explored, said=(f"least squares leaves {own:.3g} {unit}, less than this file, without {inert}",))
-    said = f"a search for elements and effects leaves {final.stated_rms:.3g} {unit} on data that no fit has seen"
-    return replace(found, plain_rms=own, said=(f"{LEAST_SQUARES}: {said}, this {own:.3g} {unit}",))
+        less = Statement(Rule.NO_MASS, "file", own, None, units.force, {"inert": units.inert})
+        return replace(explored, said=(less,))
+    plain_file = Statement(Rule.PLAIN, "file", own, None, units.force, {"searched": final.stated_rms})
+    return replace(found, plain_rms=own, said=(plain_file,))
 
 
 def _explain(refusal: FrictionError, begun: Begun, known: Known) -> Explored:
@@ -227,8 +223,9 @@ def _explain(refusal: FrictionError, begun: Begun, known: Known) -> Explored:
         left = f"{fit.rms:.2g} {units.force} rms that nothing here explains"
         raise InputError(begun.records.names[0], "residual", left, "a log with less of it: it hides dry friction")
     found = _state_plain(begun, fit, rivals, known)
-    said = f"{LEAST_SQUARES}: beside what is left no elements show"
-    return replace(found, plain_rms=found.final.stated_rms, said=(said,), unseen=refusal.unseen)
+    own = found.final.stated_rms
+    said = Statement(Rule.PLAIN_ALONE, "file", own, unit=units.force)
+    return replace(found, plain_rms=own, said=(said,), unseen=refusal.unseen)
 
 
 def _state_plain(begun: Begun, fit: AxisFit, rivals: Mapping[str, tuple[str, ...]], known: Known) -> Explored:
@@ -387,8 +384,9 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     records, views, found, final = explored.records, explored.views, explored.found, explored.final
     fit, given, units = final.fit, wanted.mass, records.machine.plant.units
     seen = final.mass
+    choice: tuple[Statement, ...] = ()
     if logs[0].is_friction_alone:
-        mass, said = unknown_mass(given, NO_MASS, units)
+        mass = unknown_mass(given, NO_MASS, units)
     else:
         if given is None and seen is None:
             raise InputError(
@@ -401,16 +399,16 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         stays = seen is None or "mass" not in final.numbers or views.fine.rows.has_payload
         adopted = given if given is not None and stays else seen
         mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
-        mass, said = mass_number(final, given, mass_kg, units)
+        mass, choice = mass_number(final, given, mass_kg, units)
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, (*unexcited, *explored.unseen)))
     whole = views.fine.rows if records.whole is None else records.whole
     shape = replace(fit.shape, distances=np.maximum(fit.shape.distances, views.fine.limits[0]))  # as in the file
     steps = encoder_forces(views.fine, replace(fit, shape=shape))
     floor = noise_floor(whole, fit.residual, largest_force(whole, steps))
-    limits = [
+    others = [
         *explored.said,
-        *said,
+        *choice,
         *list_limits(numbers, found, final, views.fine, units, unexcited),
         *list_misfit(final.held_out_rms, floor, units),
     ]
@@ -430,7 +428,12 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
             replace(n, value=refit.values[n.name], std=refit.std[n.name]) if n.name in refit.values else n
             for n in numbers
         )
-        limits.append(refit.describe(units))
+        moved, before = refit.motion
+        others.append(Statement(Rule.REFITTED_MOTION, "file", moved, None, units.position, {"before": before}))
+    friction = float(np.std(views.fine.rows.friction[views.fine.rows.used]))
+    left = {"friction_N": friction, "floor_N": floor}
+    others += [Statement(Rule.LAW_TOLD, "law", numbers={"law": law})] if found.decided else []
+    others.append(Statement(Rule.FITTED, "file", final.held_out_rms, None, units.force, left))
     noise = {"measurement": measure_noise(make_machine(machine_content(base, law, numbers, {}), path), logs)}
     noise["colour"] = measure_colour(make_machine(machine_content(base, law, numbers, noise), path), logs)
     content = machine_content(base, law, numbers, noise)
@@ -441,19 +444,17 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     head = [
         f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
         "Intervals are two standard deviations.",
-        f"Residual on blocks that the fit{to_force} had not seen: {final.held_out_rms:.3g} {units.force} rms; noise "
-        f"floor {floor:.3g} {units.force}.",
-        *limits,
+        f"On blocks that the fit{to_force} had not seen: {others[-1].sentence}.",
+        *(s.advice for s in list_open([*(number.state(units) for number in numbers), *others])),
     ]
     toml = machine_toml(units, content, numbers, head)
-    used = views.fine.rows.used
     return Identification(
         machine=check_toml(toml, content, path),
         toml=toml,
         law=law,
         law_decided=found.decided,
         numbers=numbers,
-        limits=tuple(limits),
+        others=tuple(others),
         warnings=(*records.warnings, *list_record_numbers(records.names, views.fine, fit, units)),
         rms_N=fit.rms,
         held_out_rms_N=final.held_out_rms,
@@ -461,7 +462,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         plain_rms_N=explored.plain_rms,
         is_plain=explored.is_plain,
         noise_floor_N=floor,
-        friction_rms_N=float(np.std(views.fine.rows.friction[used])),
+        friction_rms_N=friction,
         by_count=found.counts,
         sources=records.names,
     )

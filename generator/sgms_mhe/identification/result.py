@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
 
 import numpy as np
 
 from sgms_mhe.identification.elements import Law
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, Units
 from sgms_mhe.support.json_values import finite
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 from sgms_mhe.support.numbers import interval
+from sgms_mhe.support.statements import Rule, Statement, list_open
+
+UNITS_OF: Final[Mapping[str, str]] = {
+    "mass": "mass",
+    "coulomb": "force",
+    "viscous": "damping",
+    "stribeck_velocity": "velocity",
+    "stiffness": "stiffness",
+}
+"""Fields of `Units` by the numbers of a machine file whose names do not end in their unit."""
 
 
 @dataclass(frozen=True)
@@ -25,20 +35,39 @@ class Number:
             parameters.
         value: SI; the default where the records do not determine it.
         std: one standard deviation; NaN where the number is a default or was given.
-        determined: whether the records determine it.
-        note: why not, or where it comes from; empty where there is nothing to say.
+        rule: by which it is determined, or why not.
+        words: numbers and names that the rule's text takes.
+        next: move that would determine it.
     """
 
     name: str
     value: float
     std: float
-    determined: bool
-    note: str = ""
+    rule: Rule = Rule.DETERMINED
+    words: Mapping[str, float | str] = field(default_factory=dict)
+    next: str | None = None
+
+    @property
+    def determined(self) -> bool:
+        """Return True if the records determine it, or it was given and they do not contradict."""
+        return self.rule.sure == "yes"
 
     @property
     def interval(self) -> str:
         """The value with two standard deviations, for people."""
         return interval(self.value, self.std)
+
+    @property
+    def note(self) -> str:
+        """Why it is not determined, or where it comes from; empty where there is nothing to say."""
+        return self.rule.text.format(**self.words)
+
+    def state(self, units: Units) -> Statement:
+        """Return the statement on it."""
+        stem = self.name.rstrip("0123456789").rstrip("_")
+        unit = getattr(units, UNITS_OF.get(stem, ""), "") or units.unit(self.name)
+        stated = Statement.of_number(self.rule, units.named(self.name), self.value, self.std, unit, **self.words)
+        return replace(stated, next=self.next)
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,7 +80,7 @@ class Identification(Shown):
         law: of its elements.
         law_decided: whether the records tell the laws apart.
         numbers: with intervals.
-        limits: sentences on what the records do not determine, with the move that would.
+        others: statements on law, elements, timing, what is left and the file as a whole.
         warnings: what a user should know about the logs.
         rms_N: residual of all rows.
         held_out_rms_N: on a third of the blocks that the fit had not seen.
@@ -69,7 +98,7 @@ class Identification(Shown):
     law: Law
     law_decided: bool
     numbers: tuple[Number, ...]
-    limits: tuple[str, ...]
+    others: tuple[Statement, ...]
     warnings: tuple[str, ...]
     rms_N: float
     held_out_rms_N: float
@@ -80,6 +109,16 @@ class Identification(Shown):
     friction_rms_N: float
     by_count: Mapping[int, float]
     sources: tuple[str, ...]
+
+    @property
+    def statements(self) -> tuple[Statement, ...]:
+        """Return every judgement, the numbers first."""
+        return (*(number.state(self.machine.plant.units) for number in self.numbers), *self.others)
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """Sentences on what the records do not determine, with the move that would."""
+        return tuple(statement.advice for statement in list_open(self.statements))
 
     def number(self, name: str) -> Number:
         """The number of a name; KeyError if there is none."""
@@ -111,13 +150,8 @@ class Identification(Shown):
         return axes
 
     def _shown(self) -> Presentation:
-        names, units = self.machine.plant.units.named, self.machine.plant.units
-        rows = [(names(number.name), number.interval, number.note) for number in self.numbers]
-        title = (
-            f"{self.machine.name}: {self.held_out_rms_N:.3g} {units.force} left on data that no fit has seen, noise "
-            f"{self.noise_floor_N:.3g} {units.force}"
-        )
-        return title, ("number", "value +- 2 sigma", ""), rows
+        rows = [(self.machine.plant.units.named(n.name), n.interval, n.note) for n in self.numbers]
+        return f"{self.machine.name}: {self.others[-1].sentence}", ("number", "value +- 2 sigma", ""), rows
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; None where a number has no deviation."""
@@ -146,6 +180,7 @@ class Identification(Shown):
                 "by_elements": {str(count): rms for count, rms in self.by_count.items()},
             },
             "plain": {"held_out_N": self.plain_rms_N, "written": self.is_plain},
+            "statements": [statement.to_json() for statement in self.statements],
             "limits": list(self.limits),
             "warnings": list(self.warnings),
             "logs": list(self.sources),

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-import textwrap
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from sgms_mhe.configuration import make_machine
-from sgms_mhe.identification.description import STAND_IN
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.result import Number
 from sgms_mhe.machine import Machine, Units, plant_content
-from sgms_mhe.machine.writing import notes_of_table, toml_line, toml_table, toml_tables
+from sgms_mhe.machine.writing import notes_of_table, toml_line, toml_table, toml_tables, wrap_comment
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.support.numbers import round_number
 
-COLUMNS: Final = 100
 ELEMENTS: Final = ("stiffness_", "fraction_")
 SHARE_DIGITS: Final = 9
 ESTIMATED: Final = ("coulomb", "viscous")
@@ -95,10 +92,10 @@ def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Num
         if table in content:
             lines += toml_tables(table, content[table], notes)
         if table == "friction":
-            lines += _elements(units, numbers)
+            lines += _entries(units, numbers)
     for effect in content.get("effects", ()):
         lines += toml_table("[[effects]]", effect, notes=notes_of_table(notes, effect["name"]))
-        lines += _lists(units, effect["name"], numbers)
+        lines += _entries(units, numbers, effect["name"])
     return "\n".join(lines) + "\n"
 
 
@@ -112,12 +109,6 @@ def check_toml(toml: str, content: Mapping[str, Any], path: Path) -> Machine:
 
 def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
     """Comments by key of the file: intervals of two standard deviations, or why there is none."""
-    unit_of = {
-        "mass": units.mass,
-        "coulomb": units.force,
-        "viscous": units.damping,
-        "stribeck_velocity": units.velocity,
-    }
     notes: dict[str, str] = {}
     for number in numbers:
         said = number.note if not math.isfinite(number.std) else number.interval
@@ -127,7 +118,7 @@ def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
             notes[units.named(number.name)] = said
         elif not number.name.startswith(ELEMENTS):
             table = "plant" if number.name == "mass" else "friction"
-            unit = unit_of.get(number.name, "")
+            unit = number.state(units).unit
             notes[f"{table}.{units.named(number.name)}"] = f"{unit}: {said}" if unit else said
     notes["friction.stiffness"] = units.stiffness
     notes["sampling.position_step"] = f"{units.position}, of the encoder: readings so near to the axis are no motion"
@@ -140,30 +131,12 @@ def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
     return notes
 
 
-def _elements(units: Units, numbers: Sequence[Number]) -> list[str]:
-    """A comment for each element: intervals of its stiffness and its share."""
-    by_name = {number.name: number for number in numbers}
-    lines, k = [], 1
-    while f"stiffness_{k}" in by_name:
-        stiffness, share = by_name[f"stiffness_{k}"], by_name[f"fraction_{k}"]
-        open_ = "" if stiffness.determined and share.determined else f"; {STAND_IN}"
-        lines.append(f"# element {k}: {stiffness.interval} {units.stiffness}, share {share.interval}{open_}")
-        k += 1
-    return lines
-
-
-def _lists(units: Units, effect: str, numbers: Sequence[Number]) -> list[str]:
-    """A comment for each list of an effect: intervals of its entries, where they have any."""
-    own = [n for n in numbers if n.name.startswith(f"{effect}.") and math.isfinite(n.std)]
-    lines = []
-    for parameter in effect_definition(effect).parameters:
-        entries = [n for n in own if parameter.array and parameter.holds(n.name.removeprefix(f"{effect}."))]
-        if entries:
-            said = [n.interval + ("" if n.determined else f" ({STAND_IN})") for n in entries]
-            lines += wrap_comment(f"{units.named(parameter.name)}: {', '.join(said)}")
-    return lines
-
-
-def wrap_comment(text: str) -> list[str]:
-    """A comment in lines of the file's width."""
-    return textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="#   ")
+def _entries(units: Units, numbers: Sequence[Number], owner: str = "") -> list[str]:
+    """Return a comment on the entries of lists: of the elements, or of an effect."""
+    said = []
+    for number in numbers:
+        effect, _, key = number.name.rpartition(".")
+        listed = [p for p in effect_definition(effect).parameters if p.array and p.holds(key)] if effect else []
+        if effect == owner and (listed or (not effect and key.startswith(ELEMENTS))):
+            said.append(number.state(units).sentence)
+    return wrap_comment(", ".join(said)) if said else []

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from textwrap import fill
+from textwrap import fill, wrap
 from typing import Any, Final
 
 from sgms_mhe.machine.log_mapping import kinds_of
@@ -19,6 +19,7 @@ from sgms_mhe.support.paths import machines_dir
 COMMENT_COLUMN: Final = 40
 WIDEST: Final = 110
 """Columns from which on a list goes on in another line."""
+COMMENT_WIDTH: Final = 100
 NO_NOTES: Final[Mapping[str, str]] = {}
 
 
@@ -122,3 +123,8 @@ def toml_extends(machine: Machine, folder: Path) -> list[str]:
         except ValueError:  # on another drive, to which no relative path leads
             base = source.as_posix()
     return [toml_line("extends", base), toml_line("extends_digest", digest_content(machine.content))]
+
+
+def wrap_comment(text: str) -> list[str]:
+    """A comment in lines of the file's width."""
+    return wrap(text, COMMENT_WIDTH, initial_indent="# ", subsequent_indent="#   ")

@@ -15,6 +15,7 @@ from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.support.arrays import Array, Mask
+from sgms_mhe.support.statements import Rule, Statement
 
 MOVING_WAY: Final = 0.1
 """Way within MOVING_TIME from which the axis moves, for what excites an effect [smallest deflection scale]: less is
@@ -144,13 +145,9 @@ def find_speeds_apart(recording: Recording) -> tuple[float, float] | None:
     return (float(np.median(forth)), float(np.median(back))) if is_apart else None
 
 
-def clock_note(recording: Recording) -> tuple[str, ...]:
+def clock_note(recording: Recording) -> tuple[Statement, ...]:
     """Return the question that a record whose motion and time are one clock does not decide."""
     period = find_lap(recording)
     if period is not None:
-        how = f"the motion repeats itself every {period:.3g} s: whether a force comes again in time or with the motion"
-    elif find_steady_blocks(recording) is not None:
-        how = "the motion has one speed: whether a force comes again in time or in place"
-    else:
-        return ()
-    return (f"{how} shows only at another speed",)
+        return (Statement(Rule.ONE_CLOCK, "motion", period, unit="s"),)
+    return (Statement(Rule.ONE_SPEED, "motion"),) if find_steady_blocks(recording) is not None else ()

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from sgms_mhe.machine import Machine, Units
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.free_run import FIRST, MotionRecord, ShotStart
@@ -59,14 +59,6 @@ class Refit:
     std: Mapping[str, float]
     motion: tuple[float, float]
     force: tuple[float, float]
-
-    def describe(self, units: Units) -> str:
-        """Return what the norms changed in words."""
-        (moved, moved_before), (pushed, pushed_before) = self.motion, self.force
-        return (
-            f"refitted to the motion: {moved:.3g} {units.position} rms in free runs, before {moved_before:.3g}; "
-            f"{pushed:.3g} {units.force} rms of the {units.push}, before {pushed_before:.3g}"
-        )
 
 
 def list_sizes(machine: Machine) -> dict[str, float]:

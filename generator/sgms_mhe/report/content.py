@@ -8,18 +8,27 @@ from pathlib import Path
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, ResidualStructure, Traces
+from sgms_mhe.diagnosis import Cause, Diagnosis, ResidualStructure, Traces
 from sgms_mhe.diagnosis.criteria import material_force
-from sgms_mhe.diagnosis.result import STANDS_FOR_WORDS
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report.estimator import EstimatorGain
-from sgms_mhe.report.learned import learned_block
+from sgms_mhe.report.learned import learned_titles
 from sgms_mhe.report.pieces import bar_width, force_bars, tile
-from sgms_mhe.report.ranking import NAMED, explained_force, ranked_scores, score_rounds, score_rows
-from sgms_mhe.report.rivals import InPlace, open_questions, rival_blocks, rivals_by_cause
+from sgms_mhe.report.ranking import ranked_scores, score_rows
+from sgms_mhe.report.rivals import InPlace, open_questions, rival_blocks
 from sgms_mhe.report.series import View
-from sgms_mhe.report.units import axis_units, force, force_suffix, percent, plain, probability, quantity, split_name
+from sgms_mhe.report.units import (
+    axis_units,
+    force,
+    force_suffix,
+    percent,
+    plain,
+    probability,
+    quantity,
+    split_name,
+    stated,
+)
 from sgms_mhe.report.words import (
     SIGNS,
     base_words,
@@ -33,17 +42,11 @@ from sgms_mhe.report.words import (
     title,
 )
 from sgms_mhe.support.numbers import SIGMAS
+from sgms_mhe.support.statements import Rule
 
 SIGNIFICANT: Final = 0.01
 ENCODER_SHARE: Final = 0.25  # of a dependence, from which it is worth a word
-IDLE: Final = 0.02  # of the best candidate's gain
 
-_MEANINGS: Final = {
-    "adequate": "The simulation explains the record down to the noise of the measurement. Nothing is missing from it.",
-    "explained": "Each cause removes some of it there.",
-    "ambiguous": "Another cause may stand where one is open: this record does not rule it out, another motion does.",
-    "unexplained": "The plots show where it lives; no name is invented.",
-}
 _SAYS: Final = {
     "position": "Residual over position",
     "velocity": "Residual over velocity",
@@ -64,22 +67,19 @@ def page(
 ) -> dict[str, Any]:
     """Everything that the template asks for, but for data, style and script."""
     d, t = diagnosis, diagnosis.traces
-    rivals = rivals_by_cause(d)
-    scores, as_good = ranked_scores(d.scores), {r.name for found in rivals.values() for r in found}
-    most = max((explained_force(s) for s in scores), default=0.0)
-    idle = [s for s in scores if s.outcome != NAMED and s.name not in as_good and explained_force(s) < IDLE * most]
+    as_good = {str(s.numbers["rival"]) for s in d.statements if s.kind == "choice"} - {c.name for c in d.causes}
     return {
         "machine": d.machine.name,
         "description": d.machine.description,
         "source": d.source,
         "badge": _badge(d),
         "headline": _headline(d),
-        "summary": f"{_lead(d)} {_MEANINGS[d.verdict] if d.excited else 'Nothing is named and nothing is confirmed.'}",
+        "summary": d.summary,
         "limits": open_questions(d),
         "tiles": _tiles(d, gain),
         "next": _next(d),
         "warnings": [sentence(w) for w in d.warnings],
-        "causes": [_cause(d, c, rivals.get(c.label, [])) for c in d.causes],
+        "causes": [_cause(d, c) for c in d.causes],
         "rivals": rival_blocks(d, in_place),
         "alternatives": [
             {"title": capital(title(a.name)), "name": a.name, "why_not": a.why_not}
@@ -92,7 +92,8 @@ def page(
             {"key": "motion", "size": "flat", "aria": "Position over time"},
         ],
         "left": _left(d),
-        "learned": None if d.learned is None else learned_block(d.learned),
+        "learned": [sentence(s.sentence) for s in d.statements if s.kind == "learned"],
+        "learned_plots": () if d.learned is None else learned_titles(d.learned),
         "views": [
             {
                 "key": f"view_{v.key}",
@@ -102,10 +103,7 @@ def page(
             }
             for v in views
         ],
-        "candidates_ranked": score_rows([s for s in scores if s not in idle], as_good),
-        "idle": join_words([s.name for s in idle]) if idle else "",
-        "not_searched": _explain_no_search(d),
-        "rounds": score_rounds(d.scores, as_good),
+        "candidates_ranked": score_rows(ranked_scores(d.scores), as_good),
         "gain_rows": _gain_rows(d),
         "floor_at": bar_width(d.noise_floor_N, _largest_rms(d)),
         "gain_note": _gain_note(d),
@@ -116,36 +114,28 @@ def page(
             "file": d.extended_name,
             "name": d.extended.name,
             "toml": d.extended_file(folder) or "",
-            "holds": "It has the causes that are listed, not what may stand in their place." if rivals else "",
+            "holds": "It has the causes that are listed, not what may stand in their place." if as_good else "",
         },
-        "base": _base_rows(d),
-        "refuted": _refuted_rows(d),
+        "numbers": _number_rows(d),
         "records": _record_rows(d),
         "about": _about(d, t),
         "figures": figures,
     }
 
 
-def _base_rows(d: Diagnosis) -> list[dict[str, str]]:
+def _number_rows(d: Diagnosis) -> list[dict[str, str]]:
+    """Return a row per number of the machine file, what the record refutes first."""
     return [
         {
-            "words": base_words(b.name),
-            "nominal": str(quantity(b.name, b.nominal)),
-            "value": str(quantity(b.name, b.refitted, b.std)) if math.isfinite(b.std) else "not excited",
-            "change": relative_change(b.nominal, b.refitted) if math.isfinite(b.std) else "",
+            "words": split_name(s.about)[0] if s.rule is Rule.REFUTED else base_words(s.about),
+            "nominal": str(stated(s, file)),
+            "value": str(stated(s)),
+            "change": relative_change(file, s.value),
+            "note": s.text,
         }
-        for b in d.base
-    ]
-
-
-def _refuted_rows(d: Diagnosis) -> list[dict[str, str]]:
-    return [
-        {
-            "words": split_name(n.name)[0],
-            "file": str(quantity(n.name, n.file)),
-            "record": str(quantity(n.name, n.record, n.std)),
-        }
-        for n in d.refuted
+        for s in d.statements
+        if s.rule in (Rule.REFUTED, Rule.REFITTED, Rule.UNSEEN)
+        for file in [float(s.numbers["file"])]
     ]
 
 
@@ -193,30 +183,21 @@ def _badge(d: Diagnosis) -> dict[str, str]:
 
 
 def _headline(d: Diagnosis) -> str:
-    """The verdict in one plain sentence."""
-    if not d.excited:
-        return "The axis hardly moves in this record: it says nothing about the simulation."
-    rest = "Something is left that no known effect accounts for"
-    if not d.causes and d.is_rough and d.verdict != "unexplained":
-        return "The record refutes numbers of the file; with its own the simulation explains it down to the noise."
-    if not d.causes:
-        known = "The simulation explains this record down to the noise of the measurement."
-        return f"{rest}." if d.verdict == "unexplained" else known
-    rivals = rivals_by_cause(d)
-    settled = [cause_text(c) for c in d.causes if d.is_certain(c)]
-    doubted = [cause_text(c) for c in d.causes if not (d.is_certain(c) or c.stands_for or c.label in rivals)]
-    choices = [
-        f"{capital(join_words([title(c.name), *(title(r.name) for r in rivals[c.label])], 'or'))}?"
-        for c in d.causes
-        if c.label in rivals
+    """Causes by how sure they are, choices as questions; without any the verdict's own sentence."""
+    words = {cause.label: cause_text(cause) for cause in d.causes}
+    causes = [s for s in d.statements if s.kind == "cause" and s.rule is not Rule.HAS_RIVAL]
+    parts = [
+        f"{said}: {join_words(shorten(found))}."
+        for said, is_sure in (("Found", True), ("Not certain", False))
+        if (found := [words[s.about] for s in causes if (s.sure == "yes") is is_sure])
     ]
-    found = f"Found: {join_words(shorten(settled))}." if settled else ""
-    if any(c.stands_for == "curve over speed" for c in d.causes):
-        found = f"{found} Friction over speed has a form that no known effect has."
-    elif d.verdict == "unexplained":
-        found = f"{found} {rest}, too." if found else f"{rest}."
-    doubts = [f"Not certain: {join_words(shorten(doubted))}."] if doubted else []
-    return " ".join((found, *doubts, *choices)).strip()
+    parts += ["Something is left that no known effect accounts for." for s in d.statements if s.rule is Rule.LEFT]
+    parts += [
+        f"{capital(title(str(s.numbers['named'])))} or {title(str(s.numbers['rival']))}?"
+        for s in d.statements
+        if s.kind == "choice"
+    ]
+    return " ".join(parts) or d.summary
 
 
 def shorten(parts: Sequence[str]) -> list[str]:
@@ -225,20 +206,10 @@ def shorten(parts: Sequence[str]) -> list[str]:
     return list(parts) if len(parts) <= most else [*parts[: most - 1], f"{len(parts) - most + 1} more"]
 
 
-def _lead(d: Diagnosis) -> str:
-    """Return the grounds of the verdict, in numbers and in words."""
-    if not d.excited or (d.verdict == "unexplained" and not d.causes):
-        return sentence(d.summary)
-    if d.extended is None:
-        return f"{force(d.rms.held_out_before)} RMS are left."
-    before, after = force(d.rms.held_out_before), force(d.rms.held_out_after)
-    return f"On data that the fit has not seen, measured minus simulated friction falls from {before} to {after} RMS."
-
-
 def _next(d: Diagnosis) -> dict[str, str] | None:
     """Return the next steps: to confirm, or to find out more; open questions have their moves beside them."""
     text, command = "", ""
-    if rivals_by_cause(d):
+    if any(s.kind == "choice" for s in d.statements):
         text = "Record one of the moves above, then diagnose the new log."
     elif d.separating_experiment:
         text = sentence(d.separating_experiment)
@@ -276,36 +247,27 @@ def _change(label: str, before: float, after: float, note: str) -> dict[str, str
     return tile(label, force(after), note, "after", force(before).removesuffix(force_suffix()))
 
 
-def _cause(d: Diagnosis, c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
-    wrong = c.name in BASE_CAUSES or bool(c.nominal)
+def _cause(d: Diagnosis, c: Cause) -> dict[str, Any]:
+    wrong, state = c.name in BASE_CAUSES or bool(c.nominal), d.state_cause(c)
     return {
         "title": capital(cause_title(c)),
         "label": c.label,
         "wrong_number": wrong,
-        "open": not d.is_certain(c),
-        "stands_for": capital(STANDS_FOR_WORDS[c.stands_for]) if c.stands_for else "",
-        "transfers": "" if c.transfers is None else "transfers" if c.transfers else "not of every record",
+        "open": state.sure != "yes",
+        "says": sentence(state.sentence),
         "parameters": [
             {
                 "words": split_name(name)[0],
                 "nominal": str(quantity(name, c.nominal[name])) if name in c.nominal else "",
-                "value": str(quantity(name, value, c.std.get(name, math.nan))),
+                "value": str(stated(s)),
+                "note": s.text,
             }
-            for name, value in c.parameters.items()
+            for name, s in zip(c.parameters, d.state_numbers(c), strict=True)
         ],
         "held_out_before": force(c.rms.held_out_before),
         "held_out_after": force(c.rms.held_out_after),
-        "gain": force(c.gain_N),
         "gain_interval": between(*c.gain_interval_N),
         "chance": probability(c.p_value),
-        "rivals": [
-            {
-                "words": title(a.name),
-                "name": a.name,
-                "parameters": ", ".join(f"{split_name(k)[0]} {quantity(k, v)}" for k, v in a.parameters.items()),
-            }
-            for a in rivals
-        ],
     }
 
 
@@ -350,43 +312,18 @@ def _says(key: str, d: Diagnosis) -> str:
     return f"{what}: {before or 'less than matters'} before, {after or 'less than matters'} after."
 
 
-def _explain_no_search(d: Diagnosis) -> str:
-    """Why no effect was looked for."""
-    if not d.excited:
-        return "No effect was looked for: without motion there is nothing to find one in."
-    matters = force(material_force(d.machine, d.noise_floor_N))
-    return (
-        f"With the machine's own numbers refitted less than {matters} RMS is left beyond the noise: "
-        "less than matters, so there was nothing for an effect to explain."
-    )
-
-
 def _coordinate(key: str) -> str:
     return {"after_reversal": "the way since a reversal"}.get(key, key)
 
 
 def _gain_rows(d: Diagnosis) -> list[dict[str, str | float]]:
-    rows = [("kept from the fit, machine file as it is", "b", d.rms.held_out_before)]
-    if d.extended is not None:
-        rows.append(("kept from the fit, extended", "a", d.rms.held_out_after))
-    rows.append(("all other data, machine file as it is", "b", d.rms.before))
-    if d.extended is not None:
-        rows.append(("all other data, extended", "a", d.rms.after))
-    return force_bars(rows, _largest_rms(d))
+    rows = [("machine file as it is", "b", d.rms.held_out_before), ("extended", "a", d.rms.held_out_after)]
+    return force_bars(rows[: 1 if d.extended is None else 2], _largest_rms(d))
 
 
 def _gain_note(d: Diagnosis) -> str:
     floor = f"Dashed: noise of the measurement, {force(d.noise_floor_N)} RMS; no model gets below it."
-    if d.errors:
-        floor += (
-            f" Of the {axis_units().push}'s RMS the simulation missed {percent(d.errors['before'])} and misses "
-            f"{percent(d.errors['after'])} on data kept from the fit; Coulomb and viscous friction by least squares "
-            f"{percent(d.errors['plain'])}."
-        )
-    if d.extended is None:
-        return floor
-    explained = f"{capital(axis_units().push)} explained on data kept from the fit"
-    return f"{explained}, 95 %: {between(*d.gain_interval_N)} RMS. {floor}"
+    return " ".join((floor, *(sentence(s.sentence) for s in d.statements if s.kind == "error")))
 
 
 def _estimator(gain: EstimatorGain) -> dict[str, Any]:
@@ -401,10 +338,9 @@ def _estimator(gain: EstimatorGain) -> dict[str, Any]:
     after = {p.name: p for p in gain.extended.parameters}
     return {
         "rows": force_bars(rows, most),
-        "note": f"Generated, compiled and run on {gain.source or 'a log'} ({plain(gain.duration_s)} s) that no fit has "
-        "seen. Predicted: what the estimator puts out at every sample before the force measured there is used; it is "
-        f"what friction compensation feeds forward. Its error falls by {percent(gain.reduction)} "
-        f"(95 %: {percent(low)} to {percent(high)}).",
+        "note": f"{sentence(gain.state(axis_units().force).sentence)} That is before the force measured there is used: "
+        f"what compensation feeds forward. Its error falls by {percent(gain.reduction)} (95 %: {percent(low)} to "
+        f"{percent(high)}).",
         "parameters": [
             {
                 "name": axis_units().named(p.name),
@@ -438,5 +374,5 @@ def _about(d: Diagnosis, t: Traces) -> list[tuple[str, str]]:
 
 
 def _largest_rms(d: Diagnosis) -> float:
-    values = (d.rms.before, d.rms.after, d.rms.held_out_before, d.rms.held_out_after, d.noise_floor_N)
+    values = (d.rms.held_out_before, d.rms.held_out_after, d.noise_floor_N)
     return max((v for v in values if math.isfinite(v)), default=0.0)

@@ -16,6 +16,7 @@ from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.status import FLAGS, has_measurement
 from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.statements import Rule, Statement
 
 BLOCKS: Final = 30
 DRAWS: Final = 2000
@@ -67,6 +68,12 @@ class EstimatorGain:
     time_s: Array
     before_N: Array
     after_N: Array
+
+    def state(self, unit: str) -> Statement:
+        """Return the statement on it, in the unit of a force."""
+        before, after = self.base.predicted_rms_N, self.extended.predicted_rms_N
+        numbers = {"before_N": before, "percent": 100.0 * self.reduction}
+        return Statement(Rule.PREDICTION, self.source or "a log", after, None, unit, numbers)
 
 
 def closed_loop_gain(machine: Machine, extended_machine: Machine, log_unseen: Log) -> EstimatorGain:

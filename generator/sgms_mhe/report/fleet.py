@@ -12,11 +12,13 @@ from markupsafe import Markup
 from sgms_mhe import __version__
 from sgms_mhe.diagnosis.result import Standing
 from sgms_mhe.machine import OF_KIND, Kind
+from sgms_mhe.model.effects import reported_name
 from sgms_mhe.report.courses import Mark, drawn
 from sgms_mhe.report.pieces import tile
 from sgms_mhe.report.units import PrintedValue, quantity, split_name, use_units
-from sgms_mhe.report.words import SIGNS, base_words, capital, relative_change
+from sgms_mhe.report.words import SIGNS, base_words, capital
 from sgms_mhe.support.numbers import SIGMAS
+from sgms_mhe.support.statements import Rule, Statement
 
 SHOWN_OPEN: Final = 8
 """Axes whose plots are not folded away, where none has left its band."""
@@ -129,6 +131,11 @@ class FleetCourse:
         """Return True if it stands out: a log left its band, or it moves steadily."""
         return self.trend is not None or any(point.left for point in self.points)
 
+    @property
+    def unit(self) -> str:
+        """Return its unit."""
+        return OF_KIND[self.kind].unit(reported_name(self.name))
+
     def words(self) -> str:
         """Return the number in words."""
         label, _, own = self.name.rpartition(".")
@@ -145,22 +152,20 @@ class FleetCourse:
 def fleet_content(verb: str, table: str, logs: Sequence[FleetLog], courses: Sequence[FleetCourse]) -> dict[str, Any]:
     """Everything that the template asks for, but for data, style and script."""
     failed = [log for log in logs if log.failure]
-    left = [course for course in courses if course.left]
-    judged = sum(point.band is not None for course in courses for point in course.points)
-    axes = list(dict.fromkeys(log.axis for log in logs))
-    gone = list(dict.fromkeys(course.axis for course in left))
-    open_ = doubts(logs)
+    gone = list(dict.fromkeys(course.axis for course in courses if course.left))
+    statements = state_fleet(logs, courses)
+    doubts = describe_doubts(statements)
     return {
         "machine": f"fleet {verb}",
         "description": "",
         "source": table,
-        "badge": _badge(logs, failed, gone, open_),
-        "headline": _headline(len(logs), len(failed), gone, open_),
+        "badge": _badge(logs, failed, gone, doubts),
+        "headline": _headline(len(logs), len(failed), gone, doubts),
         "limits": None,
         "verb": verb,
-        "tiles": _tiles(logs, failed, axes, gone, judged, len(left), open_),
+        "tiles": _tiles(logs, courses, gone, doubts),
         "failed": failed,
-        "left": [departure for course in left for departure in _departures(course)],
+        "left": [capital(s.sentence) for s in statements if s.kind in ("band", "trend")],
         "axes": _axes(courses, gone),
         "strips": _strips(courses),
         "logs": [{"log": log, "badge": _STYLES[log.standing]} for log in logs],
@@ -177,86 +182,69 @@ def fleet_content(verb: str, table: str, logs: Sequence[FleetLog], courses: Sequ
     }  # fmt: skip
 
 
-def doubts(logs: Sequence[FleetLog]) -> dict[str, int]:
-    """Count the logs whose result does not hold, by verdict."""
-    return Counter(log.verdict for log in logs if not log.failure and _STYLES[log.standing] == "open")
+def state_fleet(logs: Sequence[FleetLog], courses: Sequence[FleetCourse]) -> tuple[Statement, ...]:
+    """Return the statements on every log, on numbers that left their band, and on those that move steadily."""
+    found = []
+    for log in logs:
+        rule = Rule.FAILED if log.failure else Rule.DOUBTFUL if _STYLES[log.standing] == "open" else Rule.DONE
+        found.append(Statement(rule, log.name, numbers={"verdict": log.verdict, "reason": log.failure}))
+    for course in courses:
+        about = f"{course.axis}, {course.name}"
+        for p in (point for point in course.points if point.left):
+            if (band := p.band) is not None:
+                ends: dict[str, float | str] = {"low": band.low, "high": band.high, "of": _ORIGINS[band.origin]}
+                at, ends["count"] = f"{about}, {p.log}", band.count
+                found.append(Statement.of_number(Rule.OUTSIDE, at, p.value, p.std, course.unit, **ends))
+        if (trend := course.trend) is not None:
+            move = Statement.of_number(Rule.MOVES, about, trend.change, trend.std, course.unit, days=trend.days)
+            found.append(move)
+    return tuple(found)
 
 
-def describe_doubts(open_: Mapping[str, int], logs: int) -> str:
+def describe_doubts(statements: Sequence[Statement]) -> str:
     """Return the words on logs whose result does not hold: `4 of 6 logs open: 3 doubt, 1 late`; empty: all hold."""
-    each = ", ".join(f"{count} {verdict}" for verdict, count in open_.items())
-    return f"{sum(open_.values())} of {logs} logs open: {each}" if open_ else ""
+    rows = [s for s in statements if s.kind == "row"]
+    counts = Counter(str(s.numbers["verdict"]) for s in rows if s.rule is Rule.DOUBTFUL)
+    each = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    return f"{counts.total()} of {len(rows)} logs open: {each}" if counts else ""
 
 
-def _badge(
-    logs: Sequence[FleetLog], failed: Sequence[FleetLog], gone: Sequence[str], open_: Mapping[str, int]
-) -> dict[str, str]:
+def _badge(logs: Sequence[FleetLog], failed: Sequence[FleetLog], gone: Sequence[str], doubts: str) -> dict[str, str]:
     style, name = "certain", "all done, nothing stands out"
     if failed:
         style, name = "failed", f"{len(failed)} failed"
     elif gone:
         style, name = "undecided", f"{len(gone)} {'axis stands' if len(gone) == 1 else 'axes stand'} out"
-    elif open_:
-        style, name = "undecided", describe_doubts(open_, len(logs)).partition(":")[0]
+    elif doubts:
+        style, name = "undecided", doubts.partition(":")[0]
     elif any(log.standing == "limited" for log in logs):
         style, name = "limited", "all done, with limits"
     return {"style": style, "sign": SIGNS[style], "name": name}
 
 
-def _headline(logs: int, failed: int, gone: Sequence[str], open_: Mapping[str, int]) -> str:
+def _headline(logs: int, failed: int, gone: Sequence[str], doubts: str) -> str:
     done = f"{logs - failed} of {logs} logs done" if failed else f"All {logs} logs done"
     shown = ", ".join(gone[:3]) + (f" and {len(gone) - 3} more" if len(gone) > 3 else "")
     out = f"{shown} {'stands' if len(gone) == 1 else 'stand'} out" if gone else "no axis stands out"
-    return "; ".join(part for part in (done, describe_doubts(open_, logs), out) if part)
+    return "; ".join(part for part in (done, doubts, out) if part)
 
 
 def _tiles(
-    logs: Sequence[FleetLog],
-    failed: Sequence[FleetLog],
-    axes: Sequence[str],
-    gone: Sequence[str],
-    judged: int,
-    left: int,
-    open_: Mapping[str, int],
+    logs: Sequence[FleetLog], courses: Sequence[FleetCourse], gone: Sequence[str], doubts: str
 ) -> list[dict[str, str]]:
-    each = ", ".join(f"{count} {verdict}" for verdict, count in open_.items())
+    failed, axes = [log for log in logs if log.failure], {log.axis for log in logs}
+    left, judged = sum(c.left for c in courses), sum(p.band is not None for c in courses for p in c.points)
+    count, _, each = doubts.partition(" of ")
     chance = f"about {0.01 * judged:.1g} of them outside by chance" if judged else "too few logs or axes for bands"
     reasons = "each with its reason below" if failed else "every row has its result"
     out = f"with {left} numbers" if gone else "all in band, none moves"
     return [
         tile("Logs", f"{len(logs)}", f"of {len(axes)} axes"),
         tile("Failed", f"{len(failed)}", reasons, "bad" if failed else ""),
-        tile("Open", f"{sum(open_.values())}", each or "every result holds", "before" if open_ else ""),
+        tile("Open", count or "0", each.partition(": ")[2] or "every result holds", "before" if doubts else ""),
         tile("Axes that stand out", f"{len(gone)}", out, "before" if gone else ""),
         tile("Numbers held against a band", f"{judged}", chance),
     ]
-
-
-def _departures(course: FleetCourse) -> list[dict[str, str]]:
-    """The newest log that left its band, with how many did; and a steady move."""
-    out = [(point, point.band) for point in course.points if point.band is not None and point.left]
-    found = []
-    if out:
-        point, band = out[-1]
-        of = f"its own first {band.count} logs"
-        if band.origin == "fleet":
-            of = f"the newest logs of the other {band.count} axes"
-        side = "above" if point.value > band.high else "below"
-        why = f"{side} the band {course.written(band.low)} to {course.written(band.high)} of {of}"
-        times = f"; {len(out)} of its {len(course.points)} logs" if len(out) > 1 else ""
-        found.append(_departure(course, point, point.when or point.log, why + times))
-    if course.trend is not None:
-        t, newest = course.trend, course.newest
-        before = newest.value - t.change
-        share = f", {relative_change(before, newest.value)}" if before > 0.0 else ""
-        why = f"moves steadily: {course.written(t.change, t.std)}{share} over {t.days:.0f} days, {t.count} logs"
-        found.append(_departure(course, newest, newest.when, why))
-    return found
-
-
-def _departure(course: FleetCourse, point: FleetPoint, when: str, why: str) -> dict[str, str]:
-    value = str(course.written(point.value, point.std))
-    return {"axis": course.axis, "words": course.words(), "value": value, "when": when, "why": why}
 
 
 def _axes(courses: Sequence[FleetCourse], gone: Sequence[str]) -> list[dict[str, Any]]:

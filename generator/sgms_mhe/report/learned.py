@@ -11,7 +11,7 @@ from sgms_mhe.diagnosis.coordinates import Coordinate, Kind
 from sgms_mhe.diagnosis.learned import Learned, LearnedTerm
 from sgms_mhe.report.plots import Role
 from sgms_mhe.report.series import numbers
-from sgms_mhe.report.units import axis_units, force, percent, reading
+from sgms_mhe.report.units import axis_units, reading
 from sgms_mhe.support.arrays import Array
 
 POINTS: Final = 120
@@ -22,28 +22,12 @@ ROLES: Final[tuple[Role, ...]] = ("before", "measured", "after")
 TITLES: Final[Mapping[Kind, str]] = {"travel": "memory of the last reversal"}
 
 
-def learned_block(learned: Learned) -> dict[str, Any]:
-    """Return what the page says of a learned residual, and the keys of its plots."""
-    low, high = learned.gain_interval
-    before, after = force(learned.held_out_before), force(learned.held_out_after)
-    sentences = [
-        f"On data kept from all fits {before} RMS go to {after}; 95 % interval of the share: {percent(low)} to "
-        f"{percent(high)}. It is no cause: it says what the residual depends on, as far as this record has been there.",
-        *(
-            f"On {r.name} {force(r.before)} go to {force(r.after)}; Coulomb and viscous friction alone leave "
-            f"{force(r.plain)}{', so it is left out' if r.is_worse else ''}."
-            for r in learned.records
-        ),
-        *(["The extended machine has it as tables, zero beyond these ranges."] if learned.in_file else []),
+def learned_titles(learned: Learned) -> list[dict[str, str]]:
+    """Return its plots' keys and titles."""
+    return [
+        {"key": f"learned_{k}", "title": f"Learned force over {_title(term)}"}
+        for k, term in enumerate(learned.terms, start=1)
     ]
-    return {
-        "words": learned.words,
-        "note": " ".join(sentences),
-        "plots": [
-            {"key": f"learned_{k}", "title": f"Learned force over {_title(term)}"}
-            for k, term in enumerate(learned.terms, start=1)
-        ],
-    }
 
 
 def learned_plots(learned: Learned) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any, Final
 from sgms_mhe.diagnosis import Score
 from sgms_mhe.report.pieces import bar_width
 from sgms_mhe.report.units import force, probability
-from sgms_mhe.report.words import capital, join_words, title
+from sgms_mhe.report.words import capital, title
 
 NAMED: Final = "named"
 LEAST: Final = 5e-4
@@ -22,32 +22,12 @@ def ranked_scores(scores: Sequence[Score]) -> list[Score]:
     for score in sorted(scores, key=lambda s: s.round):
         if score.name not in best or (score.outcome == NAMED and best[score.name].outcome != NAMED):
             best[score.name] = score
-    return ranked_among(list(best.values()))
-
-
-def ranked_among(scores: Sequence[Score]) -> list[Score]:
-    """Candidates in that order: named, then the rest, each by the force it explains."""
-    return sorted(scores, key=lambda s: (s.outcome != NAMED, -explained_force(s)))
+    return sorted(best.values(), key=lambda s: (s.outcome != NAMED, -explained_force(s)))
 
 
 def explained_force(score: Score) -> float:
     """Return the force that a candidate explains [N RMS]: after a refit where there was one."""
-    return first_finite(score.refit_gain_N, score.gain_N)
-
-
-def score_rounds(scores: Sequence[Score], as_good: Collection[str]) -> list[dict[str, Any]]:
-    """The rounds of a search, each with its candidates; empty where there was but one. `as_good` as in `score_rows`."""
-    rounds = []
-    for number in sorted({s.round for s in scores}):
-        names = [s.name for s in scores if s.round < number and s.outcome == NAMED]
-        done = f", after {join_words(names)} had been added" if names else ", the base model refitted"
-        rounds.append(
-            {
-                "title": f"Round {number}{done}",
-                "rows": score_rows(ranked_among([s for s in scores if s.round == number]), as_good),
-            }
-        )
-    return rounds if len(rounds) > 1 else []
+    return next((gain for gain in (score.refit_gain_N, score.gain_N) if math.isfinite(gain)), 0.0)
 
 
 def score_rows(scores: Sequence[Score], as_good: Collection[str]) -> list[dict[str, Any]]:
@@ -71,8 +51,3 @@ def score_rows(scores: Sequence[Score], as_good: Collection[str]) -> list[dict[s
 def _amount(gain: float) -> str:
     """A gain; of one that would be written as zeros, that there is none."""
     return "none" if abs(gain) < LEAST else force(gain)
-
-
-def first_finite(*values: float) -> float:
-    """The first of these that is a number, 0 where none is."""
-    return next((v for v in values if math.isfinite(v)), 0.0)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Limit, RivalFit
-from sgms_mhe.model.effects import separating_moves
+from sgms_mhe.diagnosis import Cause, Diagnosis, RivalFit
 from sgms_mhe.report.pieces import bar_width, force_bars
 from sgms_mhe.report.series import View, views
-from sgms_mhe.report.units import force, quantity, split_name
+from sgms_mhe.report.units import quantity, split_name
 from sgms_mhe.report.words import base_words, capital, cause_title, sentence, title
+from sgms_mhe.support.statements import Rule, Statement, list_open
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +48,6 @@ class InPlace:
         return f"rival_{self.number}_{key}"
 
 
-def rivals_by_cause(d: Diagnosis) -> dict[str, list[Alternative]]:
-    """Return the rivals of each named cause, by that cause's label."""
-    labels = [c.label for c in d.causes]
-    found: dict[str, list[Alternative]] = {}
-    for a in d.alternatives:
-        if a.rival and a.instead_of is not None and a.name not in labels:
-            found.setdefault(a.instead_of, []).append(a)
-    return {label: rivals for label, rivals in found.items() if label in labels}
-
-
 def rivals_in_place(d: Diagnosis) -> tuple[InPlace, ...]:
     """Every rival with what it leaves, beside what its cause leaves."""
     causes = {cause.name: cause for cause in reversed(d.causes)}
@@ -72,30 +62,30 @@ def rivals_in_place(d: Diagnosis) -> tuple[InPlace, ...]:
 
 def open_questions(d: Diagnosis) -> dict[str, Any] | None:
     """Return the open questions: choices between causes with the move that makes each, then all other limits."""
-    rivals = rivals_by_cause(d)
-    pairs = [(cause, rival) for cause in d.causes for rival in rivals.get(cause.label, ())]
-    choices = [
-        {
-            "choice": f"{capital(title(cause.name))}, or {title(rival.name)}?",
-            "move": sentence(next(iter(separating_moves(cause.name, rival.name)), rival.why_not)),
-            "command": f"sgms-mhe plan {d.machine.name} --separate {cause.name} {rival.name} --out plan.csv"
-            if cause.name != rival.name
-            else "",
-        }
-        for cause, rival in pairs
-    ]
-    told = {(rival.instead_of, rival.name) for _, rival in pairs}
-    others = [_words(limit) for limit in d.undecidable if limit.between not in told]
-    if not choices and not others:
+    found = list_open(d.statements)
+    if not found:
         return None
-    return {"title": "What this record cannot decide", "choices": choices, "others": others}
+    return {
+        "title": "What this record cannot decide",
+        "choices": [_choice(s, d.machine.name) for s in found if s.kind == "choice"],
+        "others": [_sentence(s) for s in found if s.kind != "choice"],
+    }
 
 
-def _words(limit: Limit) -> str:
-    """Return a limit as a sentence, a number of the machine by its words."""
-    if limit.number is None:
-        return sentence(limit.words)
-    return sentence(f"{capital(base_words(limit.number))}:{limit.words.partition(':')[2]}")
+def _choice(s: Statement, machine: str) -> dict[str, str]:
+    named, rival = str(s.numbers["named"]), str(s.numbers["rival"])
+    return {
+        "choice": f"{capital(title(named))}, or {title(rival)}?",
+        "move": sentence(s.next or s.sentence),
+        "command": f"sgms-mhe plan {machine} --separate {named} {rival} --out plan.csv" if named != rival else "",
+    }
+
+
+def _sentence(s: Statement) -> str:
+    """Return a statement's sentence, a number of the machine by its words."""
+    if s.rule is not Rule.UNSEEN:
+        return sentence(s.sentence)
+    return sentence(capital(s.sentence.replace(s.about, base_words(s.about), 1)))
 
 
 def rival_blocks(d: Diagnosis, rivals: Sequence[InPlace]) -> list[dict[str, Any]]:
@@ -118,23 +108,10 @@ def _block(d: Diagnosis, rival: InPlace, parameters: Mapping[str, float]) -> dic
         ],
         "rows": force_bars([(f"With {rival.cause_words}", "a", left[0]), (f"With {rival.words}", "r", left[1])], most),
         "floor_at": bar_width(d.noise_floor_N, most),
-        "differ": _difference(d, rival),
         "residual": rival.plot("residual"),
         "first": plots[:1],
         "rest": plots[1:],
     }
-
-
-def _difference(d: Diagnosis, rival: InPlace) -> str:
-    """How far apart the two simulations are along this record."""
-    apart = (rival.fit.residual_N - d.traces.residual_after)[d.traces.used]
-    if not len(apart):
-        return ""
-    rms, most = math.sqrt(float(np.mean(apart**2))), float(np.abs(apart).max())
-    return (
-        f"Along this record the two simulations are {force(rms)} RMS apart, at most {force(most)}; the noise of the "
-        f"measurement is {force(d.noise_floor_N)}. Too little of the record tells them apart to be certain."
-    )
 
 
 def _apart(view: View) -> float:

@@ -13,6 +13,7 @@ from sgms_mhe.machine import LINEAR, Units
 from sgms_mhe.machine.units import is_ratio, suffix_of
 from sgms_mhe.model.effects import base_number
 from sgms_mhe.support.numbers import SIGMAS
+from sgms_mhe.support.statements import Statement
 
 _PREFIXES: Final = {
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm")),
@@ -78,6 +79,12 @@ def quantity(name: str, value: float, std: float = math.nan) -> PrintedValue:
     """A parameter's value with two standard deviations, in the unit that its name ends in."""
     _, unit = split_name(name)
     return reading(value, unit, std)
+
+
+def stated(statement: Statement, value: float | None = None) -> PrintedValue:
+    """A statement's value with two standard deviations, or another value in its unit."""
+    unit = statement.unit or ("%" if is_ratio(statement.about) else "")
+    return reading(statement.value, unit, statement.std) if value is None else reading(value, unit)
 
 
 def reading(value: float, unit: str, std: float = math.nan) -> PrintedValue:

@@ -160,12 +160,10 @@ def _identify(row: Row, machine: Machine | None, table: Mapping[str, Any], folde
     found = identify(row.log, name, mass=row.mass, like=machine, table=table, note=notes.append)
     (folder / f"{name}.toml").write_text(found.toml, encoding="utf-8")
     _write_json(folder / "identification.json", found.to_json())
-    unit = found.machine.plant.units.force
     return Result(
         found.law,
         "limited" if found.limits else "certain",
-        f"{found.machine.friction.n_z} elements; held-out residual {found.held_out_rms_N:.3g} {unit}, noise "
-        f"{found.noise_floor_N:.3g} {unit}",
+        f"{found.machine.friction.n_z} elements; {found.others[-1].sentence}",
         found.machine.plant.kind,
         name,
         _finite_numbers(FleetNumber(n.name, n.value, n.std, math.nan) for n in found.numbers if n.determined),

@@ -15,7 +15,9 @@ from sgms_mhe.api.fleet.work import FleetNumber, json_text
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.model.effects import reported_name
 from sgms_mhe.report import FleetLog, FleetPoint, write_fleet_report
+from sgms_mhe.report.fleet import state_fleet
 from sgms_mhe.support.files import write_text
+from sgms_mhe.support.statements import Statement
 
 _LINKED = ("report.html", "estimates.csv", "identification.json")
 
@@ -27,13 +29,13 @@ def write_fleet(fleet: Fleet, out: str | Path) -> Path:
     results = results_json(fleet, folder)
     write_text(folder / "results.csv", results_csv(results))
     write_text(folder / "results.json", json_text(results))
-    logs = fleet_logs(fleet, folder)
+    logs = [_log(done, folder) for done in fleet.rows]
     return write_fleet_report(fleet.verb, str(fleet.table), logs, fleet.courses, folder)
 
 
-def fleet_logs(fleet: Fleet, folder: Path) -> list[FleetLog]:
-    """Return the rows as page and terminal show them."""
-    return [_log(done, folder) for done in fleet.rows]
+def state_rows(fleet: Fleet, folder: Path) -> tuple[Statement, ...]:
+    """Return every judgement on a fleet."""
+    return state_fleet([_log(done, folder) for done in fleet.rows], fleet.courses)
 
 
 def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
@@ -42,6 +44,7 @@ def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
     return {
         "verb": fleet.verb,
         "version": __version__,
+        "statements": [statement.to_json() for statement in state_rows(fleet, folder)],
         "trends": [
             {"axis": c.axis, "name": _name_with_unit(c.kind, c.name), **asdict(c.trend)}
             for c in fleet.courses
