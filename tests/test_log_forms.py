@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from cli_cases import refused, run
-from sgms_mhe.api.inputs import read_log
+from sgms_mhe.api.inputs import read_log, read_logs
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.logfiles import text
 from sgms_mhe.logfiles.names import is_usual
@@ -285,6 +285,22 @@ def test_jittery_stamps_with_repeats_are_resampled(count: int, tmp_path: Path) -
     assert len(notes) == 1 and "one sample fewer" in notes[0]  # said, though the log is refused
     found = read_log(path, table={"resample": True})
     assert found.position_m == pytest.approx(np.interp(found.time_s, log.time_s, log.position_m), abs=5e-3)
+
+
+def test_logs_of_one_axis_are_resampled_to_the_lowest_of_their_rates(tmp_path: Path) -> None:
+    """Each by itself goes to its own mean rate, and logs of one call share one."""
+    paths = []
+    for rate in (500.0, 530.0, 620.0):
+        log = rotor(8, rate=rate)
+        late = log.time_s + 0.04 / rate * np.random.default_rng(int(rate)).standard_normal(len(log))
+        paths.append(write(tmp_path / f"{rate:g}.csv", **{**own(log), "time_s": late}))
+    notes: list[str] = []
+    read = read_logs(paths, table={"resample": True}, note=notes.append)
+    assert len({log.rate for log in read}) == 1 and read[0].rate == pytest.approx(500.0, rel=1e-3)
+    assert len(notes) == 3  # each said once
+    assert {log.rate for log in read_logs(paths[2], table={"resample": True, "rate": 400.0})} == {400.0}
+    with pytest.raises(InputError, match="rate"):
+        read_log(paths[0], table={"rate": 400.0})
 
 
 def test_stamps_coarser_than_the_samples_are_refused(tmp_path: Path) -> None:

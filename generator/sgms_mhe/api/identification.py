@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, list_sources, load, read_log
+from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, load, read_logs
 from sgms_mhe.configuration import override_log
 from sgms_mhe.identification import Identification, Wanted
 from sgms_mhe.identification import identify as identify_logs
@@ -57,7 +57,7 @@ def identify(
     if objective not in known:
         raise InputError("identify", "objective", objective, f"one of {', '.join(known)}")
     model = None if like is None else override_log(load(like), table or {})
-    read = [read_log(log, model, table=table, note=note) for log in list_sources(logs)]
+    read = read_logs(logs, model, table=table, note=note)
     if not read:
         raise InputError("identify", "logs", [], "at least one")
     moved = _moved_mass(read[0].units, mass, inertia)

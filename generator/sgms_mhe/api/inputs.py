@@ -97,6 +97,23 @@ def read_log(
     return read_only(log_of(reading, axis).part(start_s, end_s))
 
 
+def read_logs(
+    logs: LogSource | Iterable[LogSource],
+    machine: Machine | None = None,
+    *,
+    table: Mapping[str, Any] | None = None,
+    note: Note | None = None,
+) -> list[Log]:
+    """Read the logs of one axis, at one rate where `[log]` has them resampled: the lowest of theirs, or the machine's.
+
+    Arguments and errors are those of `read_log`.
+    """
+    sources, table = list_sources(logs), dict(table or {})
+    if machine is None and table.get("resample") and "rate" not in table:
+        table["rate"] = min((read_log(log, table=table, note=lambda _: None).rate for log in sources), default=None)
+    return [read_log(log, machine, table=table, note=note) for log in sources]
+
+
 def warn_of_log(sentence: str) -> None:
     """Warn of how a log was read, at the first line outside of this package."""
     depth, frame = 1, inspect.currentframe()

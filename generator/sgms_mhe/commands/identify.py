@@ -54,12 +54,12 @@ def command(
     common.check_output_file(out, (".toml",))
 
     from sgms_mhe.api.identification import identify
-    from sgms_mhe.api.inputs import read_log
+    from sgms_mhe.api.inputs import read_logs
     from sgms_mhe.diagnosis.record_residual import measure_residual
     from sgms_mhe.support.files import write_text
 
     model = load_for_log(like, log_table) if like is not None else None
-    read = [read_log(path, model, table=log_table, note=common.note) for path in log]
+    read = read_logs(log, model, table=log_table, note=common.note)
     with trace_decisions(trace), common.step_notes() as progress:
         found = identify(
             read,

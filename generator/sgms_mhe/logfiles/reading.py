@@ -137,15 +137,16 @@ def understand_table(
     columns = si_values(path, table, sources, stated, say)
     columns, table = _drop_repeats(columns, table, say)
     timing = measure_time(path, columns["time_s"], table.row)
-    if stated is not None and abs(timing.rate - stated) > JITTER * stated:
+    resampled = mapping is not None and mapping.resample
+    if stated is not None and not resampled and abs(timing.rate - stated) > JITTER * stated:
         raise InputError(path, "[log] rate", stated, f"{timing.rate:.6g} Hz, as its time column says")
     advice = advise_time_unit(timing.rate) if machine is None else ""
     if advice:
         say(f"{timing.rate:.4g} samples per second: {advice}")
     columns = _complete(kind, columns, say)
-    rate = machine.sampling.rate if machine is not None else None
+    rate = machine.sampling.rate if machine is not None else stated
     resampling = None
-    if mapping is not None and mapping.resample and not _on_grid(timing, rate):
+    if resampled and not _on_grid(timing, rate):
         resampling = resample(path, columns, timing, rate)
         columns = dict(resampling.columns)
         say(resampling.note)

@@ -128,7 +128,10 @@ class LogMapping(_Spare):
     acceleration_rad_s2: Source = _column("acceleration_rad_s2")
     friction_Nm: Source = _column("friction_Nm")
     rate: float | None = Field(
-        None, gt=0, le=1e7, description="samples per second of a file without a time column [Hz]; default none"
+        None,
+        gt=0,
+        le=1e7,
+        description="samples per second of a file without a time column, or to resample to [Hz]; default none",
     )
     resample: bool = text("uneven time, or another rate, interpolated to the machine's", "true or false", False)
     homed: bool = text("position means the same in every record: absolute, or homed", "true or false", False)
