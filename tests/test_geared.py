@@ -73,6 +73,11 @@ def level_of(machine: Machine, w: list[float]) -> float:
     return float(model.function("level")(np.zeros(model.n_x), w, np.ones(model.n_p)))
 
 
+def output_of(machine: Machine, w: list[float]) -> float:
+    model = build_model(machine)
+    return float(model.function("output")(np.zeros(model.n_x), w, np.ones(model.n_p)))
+
+
 def test_the_level_is_that_of_the_torque_known_from_motion_and_load() -> None:
     """|T| and the sign of T v, from q, v and a alone: the drive's own torque is not asked for."""
     machine = joint()
@@ -93,19 +98,31 @@ def test_the_level_is_that_of_the_torque_known_from_motion_and_load() -> None:
                 assert coulomb * found == pytest.approx(stribeck + added, rel=1e-12)
 
 
+CURVE: dict[str, Any] = {
+    "name": "friction_curve", "speed_rad_s": [0.2, 1.0], "end_rad_s": 6.0, "forward_Nm": [-2.0, -1.5],
+    "backward_Nm": [-1.0, 0.5],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("curves", [(), (CURVE,)], ids=["law", "curve"])
 @pytest.mark.parametrize("shares", [(0.0, 0.0), (0.5, 0.5), (1.0, 1.0), (0.3, 0.8)])
-def test_a_mesh_amid_the_friction_carries_friction_that_it_makes_itself(shares: tuple[float, float]) -> None:
-    """The level solves level = s(v) + r |load + a_J J a + a_f f|, with f of the size level + sigma_v |v|."""
+def test_a_mesh_amid_the_friction_carries_friction_that_it_makes_itself(
+    shares: tuple[float, float], curves: tuple[dict[str, Any], ...]
+) -> None:
+    """The level solves level = s(v) + r |load + a_J J a + a_f f|, f of the size level + sigma_v |v| + curve."""
     inertial, frictional = shares
     effect = {"name": "load_dependent_friction", "ratio": 0.3, "rise_ratio": 0.1}
     effect |= {"inertia_ratio": inertial, "friction_ratio": frictional}
-    machine = override_machine(joint(), {"effects": [{"name": "unbalance", **GEARED["unbalance"]}, effect]})
+    bare, bent = joint(), override_machine(joint(), {"effects": list(curves)})
+    machine = override_machine(joint(), {"effects": [{"name": "unbalance", **GEARED["unbalance"]}, effect, *curves]})
     for v, a, q in ((2.0, 30.0, 0.4), (2.0, -30.0, 0.4), (-2.0, 30.0, 1.0), (0.5, 0.0, -2.0), (0.01, -20.0, 0.0)):
-        share = float(np.exp(-((v / 0.02) ** 2)))
-        level = 6.0 * level_of(machine, [q, v, a, 3.0, 1.0])
-        friction = np.sign(v) * level + 2.0 * v
+        w, share = [q, v, a, 3.0, 1.0], float(np.exp(-((v / 0.02) ** 2)))
+        curve = output_of(bent, w) - output_of(bare, w)
+        level = 6.0 * level_of(machine, w)
+        friction = np.sign(v) * level + 2.0 * v + curve
         torque = 1.5 * float(np.sin(q + 0.7)) + inertial * 0.8 * a + frictional * friction
-        assert level == pytest.approx(6.0 * (1.0 + 0.15 * share) + (0.3 + 0.1 * share) * abs(torque), rel=1e-12)
+        assert level == pytest.approx(6.0 * (1.0 + 0.15 * share) + (0.3 + 0.1 * share) * abs(torque), rel=1e-9)
+    assert not curves or abs(curve) > 1e-3
 
 
 def test_friction_that_grows_with_itself_stays_finite() -> None:

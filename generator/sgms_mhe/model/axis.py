@@ -188,7 +188,8 @@ class SymbolicAxis:
     def sliding_friction(self) -> ca.SX:
         """Size of the friction of an axis that slides, as far as effects have set it [N]."""
         level = self.coulomb_force * self.coulomb_factor * self.stribeck_level + self.level_force
-        return level + self.damping * self.viscous_factor * ca.fabs(self.velocity)
+        beside = self.damping * self.viscous_factor * ca.fabs(self.velocity) + ca.sign(self.velocity) * self.curve
+        return level + beside
 
     def forget(self) -> dict[str, ca.SX]:
         """Put a symbol in the place of everything that effects may set but the signals, and return them by name."""
