@@ -21,7 +21,14 @@ from sgms_mhe.identification.final_fit import drop_idle_springs, drop_traces
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis
 from sgms_mhe.identification.identify import explore
 from sgms_mhe.identification.search import Views, fit_aligned
-from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term, companion_terms, is_level, is_within_limits
+from sgms_mhe.identification.terms import (
+    LAW_AND_SAMPLING,
+    Term,
+    companion_terms,
+    is_friction,
+    is_level,
+    is_within_limits,
+)
 from sgms_mhe.signals.logs import Log, write_log
 
 Array = NDArray[np.float64]
@@ -173,6 +180,12 @@ def test_a_mesh_that_carries_friction_biases_neither_gravity_nor_inertia() -> No
     within(found, "mass", arm.inertia)
     within(found, "unbalance.amplitude_N", arm.gravity)
     within(found, "load_dependent_friction.ratio", arm.load)
+
+
+def test_teeth_carry_all_friction_and_no_load() -> None:
+    """Without the curve that takes friction away with speed, what is missing at the teeth was gravity and inertia."""
+    names = ("viscous", "friction_curve", "load_dependent_friction", "mass", "late", "unbalance", "position_spring")
+    assert [name for name in names if is_friction(Term(name, np.ones((3, 1))))] == list(names[:3])
 
 
 @pytest.mark.slow

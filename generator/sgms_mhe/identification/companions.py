@@ -19,6 +19,7 @@ from sgms_mhe.identification.terms import (
     KnownFriction,
     Term,
     effect_parameters,
+    is_friction,
     is_level,
     is_within_limits,
     level_terms,
@@ -167,15 +168,14 @@ def fit_level_terms(rows: Recording, fit: AxisFit, sliding: Array | None = None)
     `sliding`: as of `level_terms`; None: the fit's.
     """
     moved = rows.machine.plant.moved + float(fit.coefficient("mass").sum())
-    level = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if is_level(t))
-    viscous = fit.jacobian[:, fit.place("viscous")] @ fit.coefficient("viscous")
+    beside = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if is_friction(t))
     elements = fit.elements @ fit.levels
     return level_terms(
         rows,
         transmitted_force(rows, fit.terms, fit.coefficients),
         fit.sliding(rows.velocity) if sliding is None else sliding,
         fit.shape.rise,
-        KnownFriction(elements + viscous + level, elements, moved),
+        KnownFriction(elements + beside, elements, moved),
     )
 
 

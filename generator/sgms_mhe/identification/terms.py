@@ -239,6 +239,13 @@ def is_level(term: Term) -> bool:
     return term.name not in LAW_AND_SAMPLING and effect_definition(term.name).stage == "level"
 
 
+def is_friction(term: Term) -> bool:
+    """Return True if a term is friction that teeth transmit: damping, a curve over speed, what adds to the level."""
+    if term.name in LAW_AND_SAMPLING:
+        return term.name == "viscous"
+    return is_level(term) or effect_definition(term.name).any_curve
+
+
 def transmitted_force(rows: Recording, terms: Sequence[Term], coefficients: Array) -> Array:
     """Torque behind friction (m) [N m], of fitted terms: inertia times acceleration, and the loads.
 
