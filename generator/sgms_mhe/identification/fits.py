@@ -23,10 +23,18 @@ from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, least_distance, run_elements
 from sgms_mhe.identification.records import ElementMotion
-from sgms_mhe.identification.terms import Term
+from sgms_mhe.identification.terms import HELD, LATE, TIMING, Term
 from sgms_mhe.machine.axis import FASTEST_STRIBECK
 from sgms_mhe.model.effects.base import LARGEST_RISE
-from sgms_mhe.recordings.evidence import UNSEEN_ERROR, cross_loss, misread_forces, noise_floor, robust_covariance
+from sgms_mhe.recordings.evidence import (
+    UNSEEN_ERROR,
+    add_missing,
+    cross_loss,
+    misread_forces,
+    motion_covariance,
+    noise_floor,
+    robust_covariance,
+)
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise, solve_nonnegative
 from sgms_mhe.recordings.recording import Recording
 
@@ -368,7 +376,8 @@ def covariance(view: RecordView, fit: AxisFit) -> Array:
     Noise and what the model gets wrong (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR of that,
     which it may hide. And what the encoder's steps and the samples' distance make of the numbers: the elements' way
     between them comes out too smooth at every reversal alike, which no average over blocks sees; other lines, and every
-    second sample, do as much once more. 0 where a level or a coefficient is held at 0.
+    second sample, do as much once more. And what an error of timing makes of them that is larger than sampling has any:
+    it stands for something else. 0 where a level or a coefficient is held at 0.
     """
     rows = view.rows
     interior = np.any(fit.jacobian != 0.0, axis=0)
@@ -383,12 +392,24 @@ def covariance(view: RecordView, fit: AxisFit) -> Array:
     wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
     result = np.zeros((len(interior), len(interior)))
     inner = robust_covariance(rows, X, fit.residual, H, inverse, wrong)
+    inner = add_missing(inner, motion_covariance(rows, X, fit.residual, H))
+    held = fit.place(HELD)
+    if held.stop and interior[held].all():
+        own = int(np.count_nonzero(interior[: held.start]))
+        shift = inverse[own] / inverse[own, own] * _measure_excess(rows, fit) * scale[own]
+        inner += np.outer(shift, shift)
     for forces in (encoder_forces(view, fit), [friction_change(view, fit, motions) for motions in view.thinned]):
         for force in forces:
             shift = inverse @ (X[rows.used].T @ force[rows.used])
             inner += np.outer(shift, shift) / len(forces)
     result[np.ix_(interior, interior)] = inner / np.outer(scale, scale)
     return result
+
+
+def _measure_excess(rows: Recording, fit: AxisFit) -> float:
+    """Return what a fit's second difference of the force has beyond what a sample and a delay make of it [s^2]."""
+    late, held = (float(np.abs(fit.coefficient(name)).sum()) for name in (LATE, HELD))
+    return max(0.0, held - 0.5 * (TIMING * rows.machine.sampling.step + late) ** 2)
 
 
 def encoder_forces(view: RecordView, fit: AxisFit) -> list[Array]:

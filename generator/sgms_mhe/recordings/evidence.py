@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -47,6 +47,8 @@ COHERENT_ROWS: Final = 16
 """Stretch that a model's own error keeps its sign over, for intervals [rows]: a reversal."""
 SMOOTH_SHARE: Final = 0.15  # of a frequency, to either side: its power is the mean of these
 SMOOTH_LEAST: Final = 4  # half frequencies, of a record's length: the slowest few are one
+CELLS: Final = (4, 4, 3)
+"""Parts of places, speeds and accelerations, as many rows in each [1]."""
 UNSEEN_ERROR: Final = 0.15
 """RMS that a model may get wrong beyond what is seen, for intervals [noise floor]: a floor that is right to 1 % hides
 as much."""
@@ -314,11 +316,33 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
     # Blocks that happen to balance must not promise more than noise would allow.
     white = inverse * float(np.mean(residual[recording.used] ** 2))
     for least in (white, stationary_covariance(recording, X, residual, inverse)):
-        # What is missing is added as that noise is correlated: a sum may be known of which no part is.
-        variance = np.maximum(np.diag(least), TINY)
-        missing = np.sqrt(np.maximum(0.0, variance - np.diag(noise)) / variance)
-        noise = noise + least * np.outer(missing, missing)
+        noise = add_missing(noise, least)
     return np.asarray(noise + inverse * COHERENT_ROWS * wrong**2)
+
+
+def add_missing(covariance: Array, least: Array) -> Array:
+    """Return a covariance (p, p) with what it lacks of another's variances.
+
+    What is missing is added as the other is correlated: a sum may be known of which no part is.
+    """
+    variance = np.maximum(np.diag(least), TINY)
+    missing = np.sqrt(np.maximum(0.0, variance - np.diag(covariance)) / variance)
+    return np.asarray(covariance + least * np.outer(missing, missing))
+
+
+def motion_covariance(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
+    """Covariance (p, p) from what numbers move by without the rows of one place, speed and acceleration (jackknife).
+
+    What a model gets wrong belongs to the motion and comes again with it: blocks of time hold all of it alike, and no
+    length of a record averages it out. Arguments are those of `jackknife_covariance`.
+    """
+    cell, used = np.zeros(len(residual), dtype=np.int64), recording.used
+    for series, parts in zip((recording.position, recording.velocity, recording.acceleration), CELLS, strict=True):
+        edges = np.quantile(series[used], np.arange(1, parts) / parts)
+        cell = cell * parts + np.searchsorted(edges, series)
+    order = np.argsort(cell, kind="stable")
+    cells = replace(recording, used=used[order], block=cell[order], fold=np.arange(math.prod(CELLS)))
+    return jackknife_covariance(cells, X[order], residual[order], H)
 
 
 def invert_information(H: Array) -> Array:
