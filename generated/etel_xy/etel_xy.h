@@ -79,7 +79,7 @@ typedef struct {
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "8e9ba4d8ed79" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0x683700e3u
+#define ETEL_XY_HEADER 0x6908659bu
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0x8e9ba4d8u
 #define ETEL_XY_SAVED_MACHINE_1 0xed79u
@@ -125,7 +125,7 @@ typedef struct {
     etel_xy_real acceleration; /* m/s^2 */
     etel_xy_real force;        /* N, drive force */
     etel_xy_real friction;     /* N, force - mass * acceleration */
-    int valid;              /* 0: friction is not to be used */
+    etel_xy_real valid;        /* 1 over the factor on friction's noise; 0: it is not to be used */
     /* s, that all are behind the sample, 0 to an interval; else they count as missing */
     etel_xy_real delay;
 } etel_xy_signals;
@@ -217,8 +217,8 @@ typedef struct {
     struct { /* signal chain, of sample() and tick() */
         etel_xy_real moved; /* kg, of set_mass() */
         double position[2]; /* m */
-        etel_xy_real lowpass[16], last[4];
-        int32_t counts[3];
+        etel_xy_real lowpass[16], last[6];
+        int32_t counts[4];
     } chain;
     /* of samples: position, velocity, acceleration, force, time; zero where no model reads it */
     struct {
@@ -227,8 +227,9 @@ typedef struct {
         int32_t count; /* of those merged so far */
     } input;
     struct { /* intervals as samples come; `filling` is the one under way, slots are used in turn */
-        int32_t filling, step, started, lost, too_fast, is_valid;
-        etel_xy_real friction; /* N, measured at its end, where that is valid */
+        int32_t filling, step, started, lost, too_fast;
+        /* N, measured at its end; 1 over the factor on its noise, 0: it is none */
+        etel_xy_real friction, valid;
         etel_xy_real blocks[ETEL_XY_BLOCKS_SIZE]; /* of its integration */
         etel_xy_real path, net; /* m, of the newest; displacement since one counted as motion */
         uint8_t moves[ETEL_XY_SLOTS]; /* each counts as motion */

@@ -360,8 +360,9 @@ static int run_along(etel_xy_t *axis, motion *m, int way)
 }
 
 /* The functions that the estimator takes from its headers, once more as they are compiled here: log
- * undoes exp, on both sides of zero, near and far, to the last digits; a column is reflected onto
- * its first number, zeros stay, and what is no number is not lost. */
+ * undoes exp, on both sides of zero, near and far, to the last digits, and so is 2^x where it is
+ * short; a column is reflected onto its first number, zeros stay, and what is no number is not
+ * lost. */
 static int computes_functions(void)
 {
     int good = 1;
@@ -370,6 +371,8 @@ static int computes_functions(void)
         const sgms_real most = 8.0 * SGMS_EPSILON * (1.0 + sgms_fabs(x));
         good = is_near(sgms_log(sgms_exp(x)), x, most) && good;
         good = is_near(sgms_exp(x) * sgms_exp(-x), 1.0, most) && good;
+        good = is_near(sgms_exp2_core(1.4426950408889634 * x) * sgms_exp(-x), 1.0, most + 1e-12) &&
+            good;
         good = sgms_same_sign(x, x) != 0 && good;
         good = is_near(sgms_exp(x) * sgms_inverse_sqrt(sgms_exp(x)) *
             sgms_inverse_sqrt(sgms_exp(x)), 1.0, 8.0 * SGMS_EPSILON) && good;
@@ -389,16 +392,17 @@ static int computes_functions(void)
     return good;
 }
 
-/* True if a move is another one. */
-static int is_same_move(const sgms_flow_move *move, const sgms_flow_move *other)
+/* True if a move is another one, to so many tolerances. */
+static int is_same_move(const sgms_flow_move *move, const sgms_flow_move *other, sgms_real times)
 {
-    return is_near(move->r, other->r, FLOW_TOLERANCE) &&
-        is_near(move->ratio, other->ratio, FLOW_TOLERANCE) &&
-           is_near(move->slope, other->slope, FLOW_TOLERANCE);
+    return is_near(move->r, other->r, times * FLOW_TOLERANCE) &&
+        is_near(move->ratio, other->ratio, times * FLOW_RATIO) &&
+           is_near(move->slope, other->slope, times * FLOW_SLOPE);
 }
 
-/* The displacement flow, likewise: two moves are one, dr1/dr0 is g(r1) over g(r0), and near the
- * fixed point a short polynomial comes to the same. */
+/* The displacement flow, likewise: two moves are one, dr1/dr0 is g(r1) over g(r0), near the fixed
+ * point a short polynomial comes to the same, and so does a polynomial of the table without its
+ * derivative. */
 static int flows_on(void)
 {
     const sgms_real span = flow_table.end - flow_table.start + 2.0;
@@ -408,15 +412,20 @@ static int flows_on(void)
         const sgms_real from = k < 120 ? flow_table.start - 1.0 + (sgms_real)k * span / 119.0
                                        : flow_table.r_star +
                                            (sgms_real)(k - 150) * flow_table.near / 31.0;
+        const sgms_real *const row = flow_inverse + (k % FLOW_SEGMENTS) * FLOW_WIDTH;
+        const sgms_real t = (sgms_real)(k % 7) / 3.0 - 1.0;
+        sgms_real slope;
         const sgms_flow_move at = sgms_flow_step(from, 0.0), whole = sgms_flow_step(from, xi);
         const sgms_flow_move first = sgms_flow_step(from, 0.3 * xi);
         sgms_flow_move second = sgms_flow_step(first.r, xi - 0.3 * xi);
         second.ratio *= first.ratio;
-        good = is_same_move(&second, &whole) && is_near(whole.ratio * at.slope, whole.slope,
-            FLOW_TOLERANCE) && good;
+        good = is_near(sgms_flow_value(row, t), sgms_flow_polynomial(row, t, &slope),
+            8.0 * SGMS_EPSILON) && good;
+        good = is_same_move(&second, &whole, 1.0) &&
+            is_near(whole.ratio * at.slope, whole.slope, FLOW_SLOPE) && good;
         if (sgms_flow_is_near(from) != 0) {
             const sgms_flow_move near = sgms_flow_near(from, sgms_flow_decay(xi));
-            good = is_same_move(&near, &whole) && good;
+            good = is_same_move(&near, &whole, FLOW_NEAR) && good;
         }
     }
     return good;
@@ -865,7 +874,8 @@ static int measures_friction(etel_xy_t *axis)
     etel_xy_estimate(axis, &e);
     good = good && is_near(e.friction_measured, friction, 1e-3 * force);
     /* and the filters settle anew */
-    return etel_xy_set_mass(axis, MASS) == ETEL_XY_OK && good && axis->chain.counts[2] == 0;
+    return etel_xy_set_mass(axis, MASS) == ETEL_XY_OK && good && axis->chain.counts[2] == 0 &&
+        is_near(axis->chain.last[5], SGMS_UNKNOWN, 0.0);
 }
 
 /* Filters of an axis that comes to rest end at zero; no signal is as small. Of a new axis nothing

@@ -520,13 +520,14 @@ static void inner_row(
     row[FACTOR_ROWS] = right;
 }
 
-/* Predict a measurement from the factor of all before it. Returns the inverse of the standard
- * deviation to take it with: above the stated one while measurements contradict predictions. */
-static sgms_real weigh_row(etel_xy_controller_t *self, const sgms_real *row)
+/* Predict a measurement, valid so far, from the factor of all before it. Returns the inverse of the
+ * standard deviation to take it with: above the stated one while measurements contradict
+ * predictions. */
+static sgms_real weigh_row(etel_xy_controller_t *self, const sgms_real *row, sgms_real valid)
 {
     /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
     sgms_real solved[FACTOR_ROWS];
-    const sgms_real stated = self->settings.measurement;
+    const sgms_real stated = self->settings.measurement / valid;
     sgms_real innovation = row[FACTOR_ROWS], predicted = stated * stated, ratio, counted;
     for (int i = 0; i < FACTOR_ROWS; i++) {
         sgms_real left = row[i];
@@ -549,7 +550,7 @@ static sgms_real weigh_row(etel_xy_controller_t *self, const sgms_real *row)
         const sgms_real need = sgms_fmax(sgms_fmax(1.0f, wild),
             sgms_fmax(self->innovations.ratio_fast, self->innovations.ratio_slow));
         const sgms_real sd = sgms_sqrt(stated * stated + (need - 1.0f) * predicted);
-        self->innovations.newest.noise_scale = sd / stated;
+        self->innovations.newest.noise_scale = sd / self->settings.measurement;
         take_innovation(self, innovation, ratio, need);
         return 1.0f / sd;
     }
@@ -581,15 +582,15 @@ static void start_row(const etel_xy_controller_t *self, int slot, sgms_real *row
 }
 
 /* A measurement inside the newest interval: its row waits until the older ones are condensed. */
-static void take_inner(etel_xy_controller_t *self, bool measured, sgms_real friction)
+static void take_inner(etel_xy_controller_t *self, sgms_real valid, sgms_real friction)
 {
     const int j = sgms_place(self->interval.step / SPACING - 1, INNER - 1),
         at = newest_slot(self) * INNER + j;
     sgms_real *const row =
         self->inner.rows + (int)(self->inner.side & 1) * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
-    self->inner.weight[at] = measured ? 1.0f : 0.0f;
+    self->inner.weight[at] = valid;
     self->inner.friction[at] = friction - output_apart(self->input.signal);
-    if (measured) {
+    if (valid > 0.0f) {
         const sgms_real *const start = self->window.node + newest_slot(self) * STATES;
         interval_map map;
         blocks_end(&self->parameters, self->interval.blocks, start, &map);
@@ -609,7 +610,7 @@ static void fold_next(etel_xy_controller_t *self)
         self->inner.rows + (int)(self->inner.side & 1) * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
     self->inner.folded = j + 1;
     if (self->inner.weight[at] > 0.0f) {
-        self->inner.weight[at] = weigh_row(self, row);
+        self->inner.weight[at] = weigh_row(self, row, self->inner.weight[at]);
         fold_row(self->sweep.factor, self->inner.weight[at], row);
     }
 }
@@ -1203,11 +1204,11 @@ static int update(etel_xy_controller_t *self)
         work(self);
     }
     take_newest(self, x);
-    if (self->interval.is_valid != 0) {
+    if (self->interval.valid > 0.0f) {
         const model_point at = { x, self->input.signal, self->parameters.theta };
         sgms_real row[FACTOR_WIDTH];
         node_row(&at, self->interval.friction, row);
-        weight = weigh_row(self, row);
+        weight = weigh_row(self, row, self->interval.valid);
         fold_row(self->sweep.factor, weight, row);
     }
     status += solve_theta(self, theta) > 0 ? ETEL_XY_CONTROLLER_BOUND : 0;
@@ -1243,7 +1244,7 @@ static int update(etel_xy_controller_t *self)
     self->estimate.update++;
     self->calls.age = 0;
 
-    status += self->interval.is_valid ? 0 : ETEL_XY_CONTROLLER_MISSING;
+    status += self->interval.valid > 0.0f ? 0 : ETEL_XY_CONTROLLER_MISSING;
     status += moves ? 0 : ETEL_XY_CONTROLLER_HOLD;
     status += self->interval.too_fast ? ETEL_XY_CONTROLLER_SPEED : 0;
     status += self->interval.lost || !is_counted ? ETEL_XY_CONTROLLER_OVERRUN : 0;
@@ -1329,12 +1330,12 @@ static SGMS_INLINE int take_signals(
 }
 
 /* The first sample is the first node. */
-static void start_series(etel_xy_controller_t *self, bool measured, sgms_real friction)
+static void start_series(etel_xy_controller_t *self, sgms_real valid, sgms_real friction)
 {
     const int slot = newest_slot(self);
     self->interval.started = STARTED;
-    self->window.weight[slot] = measured ? 1.0f / self->settings.measurement : 0.0f;
-    self->window.friction[slot] = measured ? friction - output_apart(self->input.signal) : 0.0f;
+    self->window.weight[slot] = valid / self->settings.measurement;
+    self->window.friction[slot] = valid > 0.0f ? friction - output_apart(self->input.signal) : 0.0f;
     self->interval.friction = 0.0f;
 }
 
@@ -1350,14 +1351,15 @@ static SGMS_INLINE void take_sample(
     etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
 {
     const bool good = take_signals(self, signals) != 0;
-    const bool measured = good && signals->valid && sgms_is_reading(signals->friction);
+    const sgms_real valid = good && signals->valid > 0.0f && sgms_is_reading(signals->friction)
+        ? sgms_fmin(signals->valid, 1.0f) : 0.0f;
     const uint32_t age = self->calls.age;
     self->calls.age = age + (uint32_t)(age < UINT32_MAX);
     if (age % 128u == 0u) { /* as often as is needed */
         drop_rest(self);
     }
     if (!self->interval.started) {
-        start_series(self, measured, signals->friction);
+        start_series(self, valid, signals->friction);
         return;
     }
     if (is_complete(self)) {
@@ -1371,10 +1373,10 @@ static SGMS_INLINE void take_sample(
     }
     extend_series(self);
     if (is_complete(self)) {
-        self->interval.is_valid = measured ? 1 : 0;
-        self->interval.friction = measured ? signals->friction : self->interval.friction;
+        self->interval.valid = valid;
+        self->interval.friction = valid > 0.0f ? signals->friction : self->interval.friction;
     } else if (self->input.count == 0 && self->interval.step % SPACING == 0) {
-        take_inner(self, measured, signals->friction);
+        take_inner(self, valid, signals->friction);
     } else {
         ; /* no reading here */
     }
@@ -1653,6 +1655,7 @@ SGMS_COLD int etel_xy_controller_set_mass(etel_xy_controller_t *self, etel_xy_co
     }
     self->chain.moved = moved;
     self->chain.counts[2] = 0; /* the filters hold friction by the old one */
+    self->chain.last[5] = SGMS_UNKNOWN;
     return ETEL_XY_CONTROLLER_OK;
 }
 

@@ -82,7 +82,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "e3e9b3bb934a" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x72013a11u
+#define ETEL_XY_CONTROLLER_HEADER 0x0b7e72e5u
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xe3e9b3bbu
@@ -129,7 +129,8 @@ typedef struct {
     etel_xy_controller_real acceleration; /* m/s^2 */
     etel_xy_controller_real force;        /* N, drive force */
     etel_xy_controller_real friction;     /* N, force - mass * acceleration */
-    int valid;              /* 0: friction is not to be used */
+    /* 1 over the factor on friction's noise; 0: it is not to be used */
+    etel_xy_controller_real valid;
     /* s, that all are behind the sample, 0 to an interval; else they count as missing */
     etel_xy_controller_real delay;
 } etel_xy_controller_signals;
@@ -228,8 +229,8 @@ typedef struct {
     struct { /* signal chain, of sample() and tick() */
         etel_xy_controller_real moved; /* kg, of set_mass() */
         int64_t position[2]; /* pm */
-        etel_xy_controller_real lowpass[16], last[4];
-        int32_t counts[3];
+        etel_xy_controller_real lowpass[16], last[6];
+        int32_t counts[4];
     } chain;
     /* of samples: position, velocity, acceleration, force, time; zero where no model reads it */
     struct {
@@ -240,8 +241,9 @@ typedef struct {
         int32_t count; /* of those merged so far */
     } input;
     struct { /* intervals as samples come; `filling` is the one under way, slots are used in turn */
-        int32_t filling, step, started, lost, too_fast, is_valid;
-        etel_xy_controller_real friction; /* N, measured at its end, where that is valid */
+        int32_t filling, step, started, lost, too_fast;
+        /* N, measured at its end; 1 over the factor on its noise, 0: it is none */
+        etel_xy_controller_real friction, valid;
         etel_xy_controller_real blocks[ETEL_XY_CONTROLLER_BLOCKS_SIZE]; /* of its integration */
         /* m, of the newest; displacement since one counted as motion */
         etel_xy_controller_real path, net;

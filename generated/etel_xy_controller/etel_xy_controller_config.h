@@ -175,7 +175,8 @@ static const sgms_chain chain = {
     RATE,
     INT64_C(0), /* step */
     28, /* settle */
-    CHAIN /* wanted */
+    CHAIN, /* wanted */
+    0.8483429f /* fading */
 };
 
 #endif

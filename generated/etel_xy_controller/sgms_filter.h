@@ -74,6 +74,13 @@ static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d
     return sgms_position_is_good(next) ? next : p;
 }
 
+/* Of a move, rounded; 0 of what is none. */
+static inline sgms_position sgms_position_from(sgms_real metres)
+{
+    const sgms_real half = metres < SGMS_R(0.0) ? SGMS_R(-0.5) : SGMS_R(0.5);
+    return sgms_fabs(metres) < SGMS_FARTHEST ? (sgms_position)(metres * SGMS_R(1e12) + half) : 0;
+}
+
 static inline sgms_position sgms_position_difference(sgms_position a, sgms_position b)
 {
     const uint64_t difference = (uint64_t)a - (uint64_t)b; /* of good ones it does not wrap */
@@ -105,6 +112,11 @@ static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d
     return p + d;
 }
 
+static inline sgms_position sgms_position_from(sgms_real metres)
+{
+    return metres;
+}
+
 static inline sgms_position sgms_position_difference(sgms_position a, sgms_position b)
 {
     return a - b;
@@ -118,9 +130,14 @@ static inline sgms_real sgms_metres_between(sgms_position a, sgms_position b)
 
 enum {
     SGMS_FILTER_STATES = 16, /* eight low-passes of two states */
-    SGMS_FILTER_LAST = 4,
-    SGMS_FILTER_COUNTS = 3
+    SGMS_FILTER_LAST = 6,
+    SGMS_FILTER_COUNTS = 4
 };
+
+/* Error of friction over the stated noise: of filters that know nothing, and the largest of a
+ * measurement, which then has a tenth of its information. */
+#define SGMS_UNKNOWN SGMS_R(1000.0)
+#define SGMS_MOST_BRIDGED SGMS_R(3.0)
 
 /* Signals to compute besides velocity and friction, a sum; the others are zero. */
 enum { SGMS_POSITION = 1, SGMS_FORCE = 2, SGMS_ACCELERATION = 4 };
@@ -132,21 +149,23 @@ typedef struct {
     sgms_position step; /* of the encoder; 0: a reading is where the axis is */
     int32_t settle;     /* samples that a disturbance of the filters lasts */
     int wanted;         /* signals to compute */
+    sgms_real fading;   /* of a disturbance, per sample: to a hundredth while they settle */
 } sgms_chain;
 
 /* Memory of the chain. Plain arrays, which the public header of a package declares without this. */
 typedef struct {
     sgms_position *position; /* [2] last position of the axis, last raw difference */
     sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
-    sgms_real *last; /* [SGMS_FILTER_LAST] last force, filtered velocity; force, position before */
-    int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap,
-                        samples since friction was invalid */
+    sgms_real *last; /* [SGMS_FILTER_LAST] last force, filtered velocity; force, position before;
+                        change of that velocity, error of friction by bridged samples */
+    int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the
+                        position's gap, samples since the last gap, length of the force's gap */
     sgms_real mass;  /* kg, that moves */
 } sgms_filter_memory;
 
 typedef struct {
     sgms_real position, velocity, acceleration, force, friction;
-    int valid; /* whether friction may be used as a measurement */
+    sgms_real valid; /* 1 over the factor on friction's noise; 0: it is no measurement */
 } sgms_aligned;
 
 /* Where an axis is: where it was at last, as long as a reading is within a step of that. A count of
@@ -163,23 +182,34 @@ static inline sgms_position sgms_axis_at(
     return at;
 }
 
-/* Take in what a sample disturbs: a channel's first good value, a gap that is filled, filters that
- * have not settled. `rest` is the state of the filters of a force that has always been there. */
-static SGMS_COLD void sgms_filter_disturbed(
+/* Take in what a sample disturbs: a channel's first good value, a gap that is bridged, filters that
+ * have not settled. `rest` is the state of the filters of a force that has always been there.
+ * Returns how far friction is valid.
+ *
+ * The axis goes on at its filtered acceleration, the force stays. What comes after the gap makes up
+ * for that: position by its displacement, force by the trapezoid of its impulse. */
+static SGMS_COLD sgms_real sgms_filter_disturbed(
     const sgms_chain *chain, const sgms_filter_memory *m, sgms_real *rest, sgms_position *position,
     sgms_real *force)
 {
     const sgms_lowpass *const filter = &chain->lowpass;
     const int position_good = sgms_position_is_good(*position);
     const int force_good = sgms_is_reading(*force);
+    sgms_real longest, *const error = &m->last[5];
+    if (m->counts[2] >= chain->settle) {
+        *error = SGMS_R(0.0);
+    }
     /* Bits that have flipped in memory are no channels. */
     m->counts[0] &= 3;
     if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
         m->counts[0] |= 1;
+        m->last[0] = *force;
         m->last[2] = *force;
         sgms_lowpass_rest(filter, rest, *force);
         sgms_lowpass_rest(filter, rest + 2, *force);
         m->counts[2] = 0;
+        m->counts[3] = 0;
+        *error = SGMS_UNKNOWN;
     }
     if ((m->counts[0] & 2) == 0 && position_good) { /* first good position */
         m->counts[0] |= 2;
@@ -191,29 +221,50 @@ static SGMS_COLD void sgms_filter_disturbed(
         }
         m->counts[1] = 0;
         m->counts[2] = 0;
+        *error = SGMS_UNKNOWN;
     }
     if (!position_good) {
-        *position = sgms_position_ahead(m->position[0], m->position[1]);
         if (m->counts[1] <= chain->settle) {
             m->counts[1]++;
+            m->position[1] = sgms_position_ahead(
+                m->position[1], sgms_position_from(m->last[4] / chain->rate));
         }
+        *position = sgms_position_ahead(m->position[0], m->position[1]);
     } else {
         *position = sgms_axis_at(chain, m->position[0], *position);
         m->position[1] = sgms_position_difference(*position, m->position[0]);
         if (m->counts[1] > chain->settle) { /* what was travelled unseen is not a velocity */
             m->position[1] = 0;
+            *error = SGMS_UNKNOWN;
             m->last[3] = chain->wanted & SGMS_POSITION ? sgms_metres(*position) : SGMS_R(0.0);
         }
         m->counts[1] = 0;
     }
     if (!force_good) {
         *force = m->last[0];
+        m->counts[3] += m->counts[3] <= chain->settle ? 1 : 0;
+    } else {
+        const sgms_real before = m->last[0];
+        m->last[0] = *force;
+        if (m->counts[3] > chain->settle) {
+            *error = SGMS_UNKNOWN;
+        } else {
+            *force += (*force - before) * (SGMS_R(0.5) * (sgms_real)m->counts[3]);
+        }
+        m->counts[3] = 0;
     }
     if (!position_good || !force_good) { /* where both are, both channels have been seen */
         m->counts[2] = 0;
     } else {
         m->counts[2] = sgms_place(m->counts[2], chain->settle - 1) + 1;
     }
+    /* What goes on errs with the square of the time. */
+    longest = (sgms_real)(m->counts[1] > m->counts[3] ? m->counts[1] : m->counts[3]);
+    *error *= chain->fading;
+    *error += SGMS_R(2.0) * (SGMS_R(1.0) - chain->fading) * longest * longest;
+    return m->counts[0] == 3 && *error <= SGMS_MOST_BRIDGED
+               ? SGMS_R(1.0) / sgms_sqrt(SGMS_R(1.0) + *error * *error)
+               : SGMS_R(0.0);
 }
 
 /* One sample through the chain. */
@@ -236,13 +287,12 @@ static inline sgms_aligned sgms_filter_step(
         m->counts[1] == 0 && m->counts[2] >= chain->settle) {
         position = sgms_axis_at(chain, m->position[0], position);
         m->position[1] = sgms_position_difference(position, m->position[0]);
-        out.valid = 1;
+        m->last[0] = force;
+        out.valid = SGMS_R(1.0);
     } else {
-        out.valid = 0;
-        sgms_filter_disturbed(chain, m, apart ? f + 8 : f + 4, &position, &force);
+        out.valid = sgms_filter_disturbed(chain, m, apart ? f + 8 : f + 4, &position, &force);
     }
     m->position[0] = position;
-    m->last[0] = force;
 
     /* The filters are linear, so the difference of two filtered velocities is the filtered second
      * difference of the position, which is exact; in the other order floats err by 0.03 N. */
@@ -258,6 +308,7 @@ static inline sgms_aligned sgms_filter_step(
         const sgms_real friction = m->last[2] - m->mass * acceleration;
         out.friction = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, friction));
     }
+    m->last[4] = velocity - m->last[1];
     m->last[1] = velocity;
     m->last[2] = force;
     if ((wanted & SGMS_POSITION) != 0) {

@@ -82,7 +82,7 @@ typedef struct {
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "843d78f69857" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0x4b0462a5u
+#define ETEL_XY_SWITCHING_HEADER 0xf9446393u
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SWITCHING_SAVED_FORMAT 2u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x843d78f6u
@@ -129,7 +129,8 @@ typedef struct {
     etel_xy_switching_real acceleration; /* m/s^2 */
     etel_xy_switching_real force;        /* N, drive force */
     etel_xy_switching_real friction;     /* N, force - mass * acceleration */
-    int valid;              /* 0: friction is not to be used */
+    /* 1 over the factor on friction's noise; 0: it is not to be used */
+    etel_xy_switching_real valid;
     /* s, that all are behind the sample, 0 to an interval; else they count as missing */
     etel_xy_switching_real delay;
 } etel_xy_switching_signals;
@@ -226,8 +227,8 @@ typedef struct {
     struct { /* signal chain, of sample() and tick() */
         etel_xy_switching_real moved; /* kg, of set_mass() */
         double position[2]; /* m */
-        etel_xy_switching_real lowpass[16], last[4];
-        int32_t counts[3];
+        etel_xy_switching_real lowpass[16], last[6];
+        int32_t counts[4];
     } chain;
     /* of samples: position, velocity, acceleration, force, time; zero where no model reads it */
     struct {
@@ -237,8 +238,9 @@ typedef struct {
         int32_t count; /* of those merged so far */
     } input;
     struct { /* intervals as samples come; `filling` is the one under way, slots are used in turn */
-        int32_t filling, step, started, lost, too_fast, is_valid;
-        etel_xy_switching_real friction; /* N, measured at its end, where that is valid */
+        int32_t filling, step, started, lost, too_fast;
+        /* N, measured at its end; 1 over the factor on its noise, 0: it is none */
+        etel_xy_switching_real friction, valid;
         etel_xy_switching_real blocks[ETEL_XY_SWITCHING_BLOCKS_SIZE]; /* of its integration */
         /* m, of the newest; displacement since one counted as motion */
         etel_xy_switching_real path, net;

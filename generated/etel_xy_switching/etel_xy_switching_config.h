@@ -168,7 +168,8 @@ static const sgms_chain chain = {
     RATE,
     0.0, /* step */
     28, /* settle */
-    CHAIN /* wanted */
+    CHAIN, /* wanted */
+    0.848342898244072 /* fading */
 };
 
 #endif

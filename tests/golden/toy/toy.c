@@ -450,13 +450,14 @@ static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
     row[FACTOR_ROWS] = right;
 }
 
-/* Predict a measurement from the factor of all before it. Returns the inverse of the standard
- * deviation to take it with: above the stated one while measurements contradict predictions. */
-static sgms_real weigh_row(toy_t *self, const sgms_real *row)
+/* Predict a measurement, valid so far, from the factor of all before it. Returns the inverse of the
+ * standard deviation to take it with: above the stated one while measurements contradict
+ * predictions. */
+static sgms_real weigh_row(toy_t *self, const sgms_real *row, sgms_real valid)
 {
     /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
     sgms_real solved[FACTOR_ROWS];
-    const sgms_real stated = self->settings.measurement;
+    const sgms_real stated = self->settings.measurement / valid;
     sgms_real innovation = row[FACTOR_ROWS], predicted = stated * stated, ratio, counted;
     for (int i = 0; i < FACTOR_ROWS; i++) {
         sgms_real left = row[i];
@@ -479,7 +480,7 @@ static sgms_real weigh_row(toy_t *self, const sgms_real *row)
         const sgms_real need = sgms_fmax(sgms_fmax(1.0, wild),
             sgms_fmax(self->innovations.ratio_fast, self->innovations.ratio_slow));
         const sgms_real sd = sgms_sqrt(stated * stated + (need - 1.0) * predicted);
-        self->innovations.newest.noise_scale = sd / stated;
+        self->innovations.newest.noise_scale = sd / self->settings.measurement;
         take_innovation(self, innovation, ratio, need);
         return 1.0 / sd;
     }
@@ -898,11 +899,11 @@ static int update(toy_t *self)
         work(self);
     }
     take_newest(self, x);
-    if (self->interval.is_valid != 0) {
+    if (self->interval.valid > 0.0) {
         const model_point at = { x, self->input.signal, self->parameters.theta };
         sgms_real row[FACTOR_WIDTH];
         node_row(&at, self->interval.friction, row);
-        weight = weigh_row(self, row);
+        weight = weigh_row(self, row, self->interval.valid);
         fold_row(self->sweep.factor, weight, row);
     }
     status += solve_theta(self, theta) > 0 ? TOY_BOUND : 0;
@@ -938,7 +939,7 @@ static int update(toy_t *self)
     self->estimate.update++;
     self->calls.age = 0;
 
-    status += self->interval.is_valid ? 0 : TOY_MISSING;
+    status += self->interval.valid > 0.0 ? 0 : TOY_MISSING;
     status += moves ? 0 : TOY_HOLD;
     status += self->interval.too_fast ? TOY_SPEED : 0;
     status += self->interval.lost || !is_counted ? TOY_OVERRUN : 0;
@@ -1014,12 +1015,12 @@ static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 }
 
 /* The first sample is the first node. */
-static void start_series(toy_t *self, bool measured, sgms_real friction)
+static void start_series(toy_t *self, sgms_real valid, sgms_real friction)
 {
     const int slot = newest_slot(self);
     self->interval.started = STARTED;
-    self->window.weight[slot] = measured ? 1.0 / self->settings.measurement : 0.0;
-    self->window.friction[slot] = measured ? friction - output_apart(self->input.signal) : 0.0;
+    self->window.weight[slot] = valid / self->settings.measurement;
+    self->window.friction[slot] = valid > 0.0 ? friction - output_apart(self->input.signal) : 0.0;
     self->interval.friction = 0.0;
 }
 
@@ -1034,14 +1035,15 @@ static SGMS_COLD void drop_rest(toy_t *self)
 static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
 {
     const bool good = take_signals(self, signals) != 0;
-    const bool measured = good && signals->valid && sgms_is_reading(signals->friction);
+    const sgms_real valid = good && signals->valid > 0.0 && sgms_is_reading(signals->friction)
+        ? sgms_fmin(signals->valid, 1.0) : 0.0;
     const uint32_t age = self->calls.age;
     self->calls.age = age + (uint32_t)(age < UINT32_MAX);
     if (age % 128u == 0u) { /* as often as is needed */
         drop_rest(self);
     }
     if (!self->interval.started) {
-        start_series(self, measured, signals->friction);
+        start_series(self, valid, signals->friction);
         return;
     }
     if (is_complete(self)) {
@@ -1055,8 +1057,8 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
     }
     extend_series(self);
     if (is_complete(self)) {
-        self->interval.is_valid = measured ? 1 : 0;
-        self->interval.friction = measured ? signals->friction : self->interval.friction;
+        self->interval.valid = valid;
+        self->interval.friction = valid > 0.0 ? signals->friction : self->interval.friction;
     }
 }
 
@@ -1324,6 +1326,7 @@ SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
     }
     self->chain.moved = moved;
     self->chain.counts[2] = 0; /* the filters hold friction by the old one */
+    self->chain.last[5] = SGMS_UNKNOWN;
     return TOY_OK;
 }
 

@@ -78,7 +78,7 @@ typedef struct {
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "4f07cd2d513c" /* digest of the machine file */
-#define TOY_HEADER 0x40b37292u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0xbb0debf6u /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0x4f07cd2du
 #define TOY_SAVED_MACHINE_1 0x513cu
@@ -123,7 +123,7 @@ typedef struct {
     toy_real acceleration; /* m/s^2 */
     toy_real force;        /* N, drive force */
     toy_real friction;     /* N, force - mass * acceleration */
-    int valid;              /* 0: friction is not to be used */
+    toy_real valid;        /* 1 over the factor on friction's noise; 0: it is not to be used */
     /* s, that all are behind the sample, 0 to an interval; else they count as missing */
     toy_real delay;
 } toy_signals;
@@ -211,8 +211,8 @@ typedef struct {
     struct { /* signal chain, of sample() and tick() */
         toy_real moved; /* kg, of set_mass() */
         double position[2]; /* m */
-        toy_real lowpass[16], last[4];
-        int32_t counts[3];
+        toy_real lowpass[16], last[6];
+        int32_t counts[4];
     } chain;
     /* of samples: position, velocity, acceleration, force, time; zero where no model reads it */
     struct {
@@ -221,8 +221,9 @@ typedef struct {
         int32_t count; /* of those merged so far */
     } input;
     struct { /* intervals as samples come; `filling` is the one under way, slots are used in turn */
-        int32_t filling, step, started, lost, too_fast, is_valid;
-        toy_real friction; /* N, measured at its end, where that is valid */
+        int32_t filling, step, started, lost, too_fast;
+        /* N, measured at its end; 1 over the factor on its noise, 0: it is none */
+        toy_real friction, valid;
         toy_real blocks[TOY_BLOCKS_SIZE]; /* of its integration */
         toy_real path, net; /* m, of the newest; displacement since one counted as motion */
         uint8_t moves[TOY_SLOTS]; /* each counts as motion */

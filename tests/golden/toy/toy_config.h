@@ -161,7 +161,8 @@ static const sgms_chain chain = {
     RATE,
     0.0, /* step */
     7, /* settle */
-    CHAIN /* wanted */
+    CHAIN, /* wanted */
+    0.5179474679231212 /* fading */
 };
 
 #endif

@@ -355,8 +355,9 @@ static int run_along(toy_t *axis, motion *m, int way)
 }
 
 /* The functions that the estimator takes from its headers, once more as they are compiled here: log
- * undoes exp, on both sides of zero, near and far, to the last digits; a column is reflected onto
- * its first number, zeros stay, and what is no number is not lost. */
+ * undoes exp, on both sides of zero, near and far, to the last digits, and so is 2^x where it is
+ * short; a column is reflected onto its first number, zeros stay, and what is no number is not
+ * lost. */
 static int computes_functions(void)
 {
     int good = 1;
@@ -365,6 +366,8 @@ static int computes_functions(void)
         const sgms_real most = 8.0 * SGMS_EPSILON * (1.0 + sgms_fabs(x));
         good = is_near(sgms_log(sgms_exp(x)), x, most) && good;
         good = is_near(sgms_exp(x) * sgms_exp(-x), 1.0, most) && good;
+        good = is_near(sgms_exp2_core(1.4426950408889634 * x) * sgms_exp(-x), 1.0, most + 1e-12) &&
+            good;
         good = sgms_same_sign(x, x) != 0 && good;
         good = is_near(sgms_exp(x) * sgms_inverse_sqrt(sgms_exp(x)) *
             sgms_inverse_sqrt(sgms_exp(x)), 1.0, 8.0 * SGMS_EPSILON) && good;
@@ -821,7 +824,8 @@ static int measures_friction(toy_t *axis)
     toy_estimate(axis, &e);
     good = good && is_near(e.friction_measured, friction, 1e-3 * force);
     /* and the filters settle anew */
-    return toy_set_mass(axis, MASS) == TOY_OK && good && axis->chain.counts[2] == 0;
+    return toy_set_mass(axis, MASS) == TOY_OK && good && axis->chain.counts[2] == 0 &&
+        is_near(axis->chain.last[5], SGMS_UNKNOWN, 0.0);
 }
 
 /* Filters of an axis that comes to rest end at zero; no signal is as small. Of a new axis nothing
