@@ -565,8 +565,18 @@ static void drift(struct axis *axis, double v, double end, double command)
     }
 }
 
-static void run_controlled(struct axis *axis, double command)
+/* Reference of a run. */
+struct course {
+    const double *values;
+    size_t length;
+};
+
+/* `commands`: of a drive, whose force depends on the motion within the sample; null: the command is a force. */
+static void run_controlled(struct axis *axis, double command, const struct course *commands, size_t k)
 {
+    if (commands != NULL) {
+        command = axis_drive_force(axis, commands->values, commands->length, (double)k);
+    }
     if (axis->decay == 0.0 && !(axis->late < 0.0)) {
         axis->force = command; /* a drive without lag follows the command at once */
         axis->acceleration = accelerate(axis, axis->velocity);
@@ -574,6 +584,10 @@ static void run_controlled(struct axis *axis, double command)
     for (int s = 0; s < axis->substeps; ++s) {
         const double kick = axis->half_step * axis->acceleration;
         kick_effects(axis);
+        if (commands != NULL) {
+            const double sample = (double)k + (s + 0.5) / axis->substeps;
+            command = axis_drive_force(axis, commands->values, commands->length, sample);
+        }
         axis->velocity += kick;
         drift(axis, axis->velocity, axis->velocity + kick, command);
         /* friction at the end of the second kick, whose velocity the first kick predicts to second order */
@@ -643,6 +657,14 @@ int axis_observe(struct axis *axis, const struct axis_record *record, size_t row
     return observe(axis, friction, effects, record, row, &measured, &measured_force);
 }
 
+/* Mean force of the drive over sample k [N] behind a logged one: before what makes the log late, or scales it. */
+static double force_behind_log(const struct axis *axis, const double *logged, size_t length, size_t k)
+{
+    const double at = (double)k + 0.5 + fmax(axis->late, 0.0) / axis->substeps, part = at - floor(at);
+    const double before = reference_at(logged, length, (size_t)at), next = reference_at(logged, length, (size_t)at + 1);
+    return ((1.0 - part) * before + part * next) / change_now(axis, AXIS_READ_FORCE, 1.0);
+}
+
 size_t axis_run(
     struct axis *axis,
     const double *reference,
@@ -653,6 +675,7 @@ size_t axis_run(
 {
     const double rate = axis->set.rate;
     const int prescribed = axis->control == AXIS_CONTROL_PRESCRIBED;
+    const struct course commands = {reference, length};
     for (size_t row = 0; row < count; ++row) {
         const size_t k = start + row;
         const double here = reference_at(reference, length, k), next = reference_at(reference, length, k + 1);
@@ -671,25 +694,20 @@ size_t axis_run(
         if (!observe(axis, friction, effects, record, row, &measured, &measured_force)) {
             return row;
         }
-        const double wanted = acceleration_at(reference, length, k, axis->set.feedforward_lead * rate, rate);
-
         if (prescribed) {
             run_prescribed(axis, here, next, axis->force);
         } else if (axis->control == AXIS_CONTROL_FORCE) {
-            run_controlled(axis, here);
+            run_controlled(axis, here, NULL, k);
+        } else if (axis->control == AXIS_CONTROL_LOGGED) {
+            run_controlled(axis, force_behind_log(axis, reference, length, k), NULL, k);
+        } else if (axis->control == AXIS_CONTROL_COMMAND) {
+            run_controlled(axis, 0.0, &commands, k);
         } else {
-            run_controlled(axis, control(axis, measured, measured_force, before, here, wanted));
+            const double wanted = acceleration_at(reference, length, k, axis->set.feedforward_lead * rate, rate);
+            run_controlled(axis, control(axis, measured, measured_force, before, here, wanted), NULL, k);
         }
     }
     return count;
-}
-
-/* Mean force of the drive over sample k [N] behind a logged one: before what makes the log late, or scales it. */
-static double force_behind_log(const struct axis *axis, const double *logged, size_t length, size_t k)
-{
-    const double at = (double)k + 0.5 + fmax(axis->late, 0.0) / axis->substeps, part = at - floor(at);
-    const double before = reference_at(logged, length, (size_t)at), next = reference_at(logged, length, (size_t)at + 1);
-    return ((1.0 - part) * before + part * next) / change_now(axis, AXIS_READ_FORCE, 1.0);
 }
 
 void axis_follow(
@@ -707,23 +725,4 @@ void axis_follow(
             axis, reference_at(position, length, k), reference_at(position, length, k + 1),
             force_behind_log(axis, logged, length, k));
     }
-}
-
-size_t axis_run_free(
-    struct axis *axis,
-    const double *logged,
-    size_t length,
-    size_t start,
-    size_t count,
-    double *position)
-{
-    for (size_t row = 0; row < count; ++row) {
-        position[row] = measure_position(axis);
-        if (!(fabs(position[row]) < FARTHEST)) {
-            return row;
-        }
-        axis->acceleration = accelerate(axis, axis->velocity);
-        run_controlled(axis, force_behind_log(axis, logged, length, start + row));
-    }
-    return count;
 }

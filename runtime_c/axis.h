@@ -26,8 +26,18 @@ extern "C" {
 
 enum axis_law { AXIS_LAW_SGMS = 0, AXIS_LAW_MAXWELL_SLIP = 1 };
 
-/* The axis follows its reference exactly, is controlled to follow it, or is driven by it, which is then a force. */
-enum axis_control { AXIS_CONTROL_PRESCRIBED = 0, AXIS_CONTROL_POSITION = 1, AXIS_CONTROL_FORCE = 2 };
+/* The axis follows its reference exactly, is controlled to follow it, or is driven by it: by a force, by a force that a
+ * log holds (linear between samples), by the command of a drive (held between samples). */
+enum axis_control {
+    AXIS_CONTROL_PRESCRIBED = 0,
+    AXIS_CONTROL_POSITION = 1,
+    AXIS_CONTROL_FORCE = 2,
+    AXIS_CONTROL_LOGGED = 3,
+    AXIS_CONTROL_COMMAND = 4
+};
+
+/* Command of a drive: the voltage at its motor [V], or the goal of its position loop [m]. */
+enum axis_drive { AXIS_DRIVE_VOLTAGE = 1, AXIS_DRIVE_POSITION_LOOP = 2 };
 
 /* Every setting is a double, scalar or array, so that a caller can set each by name (axis_setting). */
 #define AXIS_SETTINGS(SCALAR, ARRAY)                                                                                   \
@@ -58,7 +68,15 @@ enum axis_control { AXIS_CONTROL_PRESCRIBED = 0, AXIS_CONTROL_POSITION = 1, AXIS
     SCALAR(max_force)                /* N, limit of the command; 0: none */                                            \
     SCALAR(encoder_resolution)       /* m, 0: none */                                                                  \
     SCALAR(encoder_noise)            /* m, 1 sigma per sample, inside the loop */                                      \
-    SCALAR(force_noise)              /* N, 1 sigma per sample, of the measured force */
+    SCALAR(force_noise)              /* N, 1 sigma per sample, of the measured force */                                \
+    SCALAR(drive)                    /* enum axis_drive */                                                             \
+    SCALAR(torque_constant)          /* N/A, and V s/m of the back-EMF */                                              \
+    SCALAR(resistance)               /* ohm */                                                                         \
+    SCALAR(supply)                   /* V */                                                                           \
+    SCALAR(loop_gain)                /* 1/m, share of the supply per error of position */                              \
+    SCALAR(clamp)                    /* largest share of the supply; 0: no limit */                                    \
+    SCALAR(command_delay)            /* s, until a command acts */                                                     \
+    SCALAR(speed_limit)              /* m/s, of the goal behind which the loop goes; 0: none */
 
 struct axis_settings {
 #define AXIS_SCALAR(name) double name;
@@ -104,6 +122,7 @@ struct axis {
     unsigned changed; /* quantities that any of them changes, a bit each (enum axis_quantity) */
     axis_compensation *compensation;
     void *compensation_context;
+    const double *enabled; /* of the caller's, per sample: a drive that is off makes no force; null: always on */
 
     double position, velocity, acceleration;
     double force;        /* of the current loop, that acts: what it makes is in `history` */
@@ -114,6 +133,8 @@ struct axis {
     double inertial;    /* the inertial force in it, N */
     double integral;    /* of the position error, m s */
     double measured, derivative;
+    double goal; /* behind the speed limit, at sample goal_at */
+    size_t goal_at;
     uint64_t substep_count;
     double history[AXIS_HISTORY];
     struct axis_random {
@@ -162,6 +183,12 @@ void axis_set_table(struct axis *axis, size_t effect, const double *table, size_
 
 void axis_set_compensation(struct axis *axis, axis_compensation *compensation, void *context);
 
+/* Say at which samples of its commands a drive is on: above 0.5. The array stays the caller's. */
+void axis_enable(struct axis *axis, const double *enabled);
+
+/* Force of the drive [N] at a time, in samples of its commands, and the present motion. */
+double axis_drive_force(struct axis *axis, const double *command, size_t length, double sample);
+
 /* Make changed settings effective, between runs as well. 0, or what is out of range. */
 enum axis_refusal {
     AXIS_BAD_SETTING = -1,   /* rate, substeps or elements */
@@ -185,9 +212,9 @@ void axis_start(struct axis *axis, double position, double velocity, double stra
 /* Fill row `row` of the columns with the present state, without a step. 0 where the axis left the world. */
 int axis_observe(struct axis *axis, const struct axis_record *record, size_t row);
 
-/* Run `count` samples from sample `start` of a reference [m, or N] of `length` samples; beyond its end it stands still.
- * The samples recorded: fewer than `count` where the loop is unstable and the axis left the world, whose bounds are
- * 4e6 m and 1e9 N. */
+/* Run `count` samples from sample `start` of a reference [m, N or V] of `length` samples; beyond its end it stands
+ * still. The samples recorded: fewer than `count` where the loop is unstable and the axis left the world, whose bounds
+ * are 4e6 m and 1e9 N. */
 size_t axis_run(
     struct axis *axis,
     const double *reference,
@@ -207,16 +234,6 @@ void axis_follow(
     size_t start,
     size_t count,
     double *acceleration);
-
-/* Run an axis that a force drives by a logged one, which is linear between samples, and record what the encoder reads
- * [m] from sample `start` on. The samples recorded: fewer than `count` where the axis left the world. */
-size_t axis_run_free(
-    struct axis *axis,
-    const double *logged,
-    size_t length,
-    size_t start,
-    size_t count,
-    double *position);
 
 #ifdef __cplusplus
 }

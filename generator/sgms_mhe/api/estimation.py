@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
+import numpy as np
+
 from sgms_mhe.api.inputs import LogSource, Note, Progress, load, recorded_log
-from sgms_mhe.configuration import override_machine
+from sgms_mhe.configuration import carry_load, override_machine
 from sgms_mhe.diagnosis import origin
 from sgms_mhe.diagnosis.other_record import Origin
 from sgms_mhe.evaluation.prediction import PredictedFriction, predict_log
@@ -80,7 +82,7 @@ def predict(
         machine: file, name, or loaded.
         log: file, Log or DataFrame.
         lowpass_Hz: cutoff in place of the machine's velocity_cutoff [Hz].
-        free_run: also run the model by the logged force alone: `motion` of the result.
+        free_run: also run the model by the logged force, or command, alone: `motion` of the result.
         note: called with each sentence on how the log was read; None: they are `LogWarning`s.
 
     Returns:
@@ -93,8 +95,13 @@ def predict(
     axis = load(machine)
     if lowpass_Hz is not None:
         axis = override_machine(axis, {"sampling": {"velocity_cutoff": lowpass_Hz}})
-    recorded = recorded_log(log, axis, note=note)
+    recorded = recorded_log(log, axis, commanded=True, note=note)
+    axis = carry_load(axis, recorded.run)
     motion = run_freely(axis, recorded) if free_run else None
+    if recorded.is_commanded and motion is not None:
+        unknown = np.full(len(recorded), math.nan)
+        found = PredictedFriction(recorded.time_s, unknown, unknown, unknown, recorded.source, recorded.kind, motion)
+        return read_only(found)
     return read_only(replace(predict_log(axis, recorded), motion=motion))
 
 

@@ -16,7 +16,7 @@ from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import check_kind, log_of, understand, understand_table
 from sgms_mhe.machine import Machine, log_mapping
 from sgms_mhe.signals.logs import Log, check_rate
-from sgms_mhe.support.errors import LogWarning
+from sgms_mhe.support.errors import InputError, LogWarning
 from sgms_mhe.support.notebooks import read_only
 
 LogSource = str | Path | Log | Frame | Mapping[str, Any]
@@ -122,12 +122,20 @@ def warn_of_log(sentence: str) -> None:
     warnings.warn(sentence, LogWarning, stacklevel=depth)
 
 
-def recorded_log(log: LogSource, machine: Machine, *, note: Note | None = None) -> Log:
+def recorded_log(log: LogSource, machine: Machine, *, commanded: bool = False, note: Note | None = None) -> Log:
     """Read a log that an axis of this machine can have left.
+
+    `commanded`: it may have no force, but a command.
 
     Raises:
         InputError: as read_log does; an ImplausibleError where its columns cannot be what they are called.
     """
     found = read_log(log, machine, note=note)
+    if found.is_commanded and commanded:
+        return found
+    if found.is_commanded:
+        push = found.units.named("force_N")
+        allowed = f"{push}, which [log] (machine file, --log) maps; of a command alone predict and identify make use"
+        raise InputError(found.source or "log", f"column {push}", None, allowed)
     check_plausible(found, machine)
     return found

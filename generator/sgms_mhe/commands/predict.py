@@ -16,6 +16,8 @@ from sgms_mhe.support.options import Option
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.prediction import PredictedFriction
     from sgms_mhe.machine import Machine
+    from sgms_mhe.recordings.free_run import FreeRun
+    from sgms_mhe.signals.logs import Log
 
 
 @make_command(
@@ -50,15 +52,16 @@ def command(
     With --find-origin the log's positions count from the origin that is found; exit code 1 where it is not determined,
     and they count as they are.
 
-    With --free-run the model moves by the logged force alone, from the first samples of the part that is compared and
-    anew after every gap: error, drift, and the time for which it stays near the measured motion.
+    With --free-run the model moves by the logged force alone, or by the command where [drive] says what it does, from
+    the first samples of the part that is compared and anew after every gap: error, drift, and the time for which it
+    stays near the measured motion. Of a log without a force this is all.
 
     Args:
         out: CSV to write: time_s, friction_measured_N, friction_N (of a rotary axis _Nm) at every sample.
         start_s: compare from here on [s since the log's start]; the model runs through the whole log.
         end_s: and until here [s].
         decimate: compare every N-th sample, behind an anti-aliasing filter.
-        free_run: also the motion that the logged force alone makes of the model.
+        free_run: also the motion that the logged force, or command, alone makes of the model.
         tolerance_m: error of the free run's horizon [m, rad]; None: 1 % of the range of the positions.
         plot: also draw friction.png, and of a free run motion.png.
         find_origin: find the position that forces over place count from, first.
@@ -73,23 +76,27 @@ def command(
         common.check_output_folder(plot)
         optional_library("matplotlib", "plot", "a figure", "--plot")
 
-    from sgms_mhe.configuration import override_machine
+    from sgms_mhe.configuration import carry_load, override_machine
     from sgms_mhe.diagnosis import origin
     from sgms_mhe.diagnosis.record_residual import measure_residual
     from sgms_mhe.evaluation.prediction import force_error, predict_log, write_prediction
     from sgms_mhe.recordings.free_run import run_freely
 
-    recorded = common.recorded_log(log, machine)
+    recorded = common.recorded_log(log, machine, commanded=True)
+    machine = carry_load(machine, recorded.run)
     if lowpass_Hz is not None:
         machine = override_machine(machine, {"sampling": {"velocity_cutoff": lowpass_Hz}})
     with common.progress_bar(f"predict {machine.name}"):
         found = origin.find_origin(machine, recorded, within_m) if find_origin else None
         if found is not None and found.position_m is not None:
             recorded = replace(recorded, position_m=recorded.position_m - found.position_m)
-        prediction = predict_log(machine, recorded)
+        motion = None
         if free_run:
             motion = run_freely(machine, recorded, start_s=start_s, end_s=end_s, tolerance_m=tolerance_m)
-            prediction = replace(prediction, motion=motion)
+        if recorded.is_commanded:
+            _show_motion(machine, recorded, motion, out, plot, json)
+            return False
+        prediction = replace(predict_log(machine, recorded), motion=motion)
         try:
             measured = measure_residual(machine, recorded)
         except InputError:  # too few samples for a diagnosis
@@ -127,6 +134,22 @@ def command(
         out,
     )
     return undetermined
+
+
+def _show_motion(machine: Machine, log: Log, motion: FreeRun | None, out: Path, plot: Path | None, json: bool) -> None:
+    """Write and show what a log without a force allows."""
+    from sgms_mhe.evaluation.plots import blank_figure
+    from sgms_mhe.signals.logs import write_columns
+
+    if motion is None:
+        raise InputError(log.source, "column " + log.units.named("force_N"), None, "a force; without one --free-run")
+    write_columns(out, {"time_s": log.time_s, **motion.columns})
+    if plot is not None:
+        figure = blank_figure(4.5)
+        motion.plot(figure.subplots())
+        common.save_figures(plot, {"motion.png": figure})
+    result = {"machine": machine.name, "samples": len(log), "free_run": motion.to_json()}
+    common.show(common.json_text(machine.plant.units.keyed(result)) if json else motion.describe(), out)
 
 
 def _draw(prediction: PredictedFriction, folder: Path) -> None:

@@ -2,6 +2,8 @@
 
 from sgms_mhe.configuration.laws import law_changes as law_changes
 from sgms_mhe.configuration.laws import switch_law as switch_law
+from sgms_mhe.configuration.resolution import G_N as G_N
+from sgms_mhe.configuration.resolution import carry_load as carry_load
 from sgms_mhe.configuration.resolution import drop_disturbance as drop_disturbance
 from sgms_mhe.configuration.resolution import load_machine as load_machine
 from sgms_mhe.configuration.resolution import make_machine as make_machine

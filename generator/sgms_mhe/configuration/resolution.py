@@ -35,10 +35,12 @@ from sgms_mhe.machine import (
     read_machine_file,
 )
 from sgms_mhe.model import gate_saturates
-from sgms_mhe.model.effects import EffectParameter, Value, effect_definition, effect_names, mass_effect
+from sgms_mhe.model.effects import WEIGHT, EffectParameter, Value, effect_definition, effect_names, mass_effect
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.names import did_you_mean
 
+G_N: Final = 9.80665
+"""Gravity [m/s^2]."""
 _INTEGRATOR: Final = ("sampling", "integrator")
 _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _NUMBERS: Final = TypeAdapter(dict[str, _Number])
@@ -63,6 +65,22 @@ def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
     Defaults that depend on other keys follow the changes. Raises InputError as load_machine does.
     """
     return _resolve(machine_file(merge_tables(machine.content, changes), [Layer(machine.source, changes)]))
+
+
+def carry_load(machine: Machine, run: Mapping[str, float]) -> Machine:
+    """Return the machine with the load, the gain and the supply that a run states of itself, as `Log.run` has them."""
+    if not run or machine.plant.kind != "rotary":
+        return machine
+    mass, length = run["mass"], run["length"]
+    weight = {"name": WEIGHT, "amplitude_Nm": mass * G_N * length, "phase_rad": 0.0}
+    inertia = mass * (length**2 + (machine.plant.weight_radius or 0.0) ** 2)
+    changes: dict[str, Any] = {
+        "plant": {"inertia": machine.plant.moved + inertia},
+        "effects": [*machine.content.get("effects", ()), weight],
+    }
+    if machine.drive.kind == "position_loop":
+        changes["drive"] = {key: run[key] for key in ("gain", "supply")}
+    return override_machine(machine, changes)
 
 
 def drop_disturbance(machine: Machine) -> Machine:
@@ -107,6 +125,7 @@ def _resolve(file: MachineFile) -> Machine:
         plant=tables.plant,
         friction=tables.friction,
         sampling=_sampling(file),
+        drive=tables.drive,
         estimator=_estimate_mass(_estimator(tables.estimator, names), tables.plant),
         compensation=tables.compensation,
         code=tables.code,

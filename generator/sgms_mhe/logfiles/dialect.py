@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
 
@@ -15,7 +15,7 @@ from sgms_mhe.logfiles.stamps import is_clock
 from sgms_mhe.machine import BY_COLUMN, SEPARATORS, LogMapping, split_unit
 from sgms_mhe.support.errors import InputError
 
-UNITS: Final = frozenset(unit for quantity in BY_COLUMN.values() for unit in quantity.allowed)
+UNITS: Final = frozenset(unit for quantity in BY_COLUMN.values() for unit in quantity.allowed if unit)
 """Every unit that any quantity of a log may have."""
 
 _COMMENT: Final = ("#", "%", "//", "!")
@@ -51,6 +51,7 @@ class Dialect:
         before: lines before the header; `after`: lines after the last sample; `comments`: lines between samples that
             are none.
         first: samples before these rows, where they are a piece of a text.
+        run: what the file states of its run.
     """
 
     separator: str
@@ -61,6 +62,7 @@ class Dialect:
     after: tuple[str, ...]
     comments: int
     first: int = 0
+    run: Mapping[str, float] = field(default_factory=dict)
 
     def row(self, index: int) -> str:
         """Where a sample stands."""

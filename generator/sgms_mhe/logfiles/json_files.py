@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -28,7 +29,8 @@ def find_samples(path: Path, text: str) -> Dialect:
     Raises InputError for what is no JSON, and for JSON without samples.
     """
     try:
-        samples, units = _samples(path, text)
+        samples, run = _samples(path, text)
+        units = RUN_UNITS if run else {}
         flat = [(line, dict(_flatten("", sample))) for line, sample in samples]
     except RecursionError:
         raise InputError(path, "file", "objects within objects", _ALLOWED) from None
@@ -36,19 +38,19 @@ def find_samples(path: Path, text: str) -> Dialect:
     if not names:
         raise InputError(path, "file", "no samples", _ALLOWED)
     rows = tuple((line, "\t".join(fields.get(name, "") for name in names)) for line, fields in flat)
-    return Dialect("\t", ".", Header(0, names, tuple(units.get(name, "") for name in names)), rows, 0, (), 0)
+    return Dialect("\t", ".", Header(0, names, tuple(units.get(name, "") for name in names)), rows, 0, (), 0, run=run)
 
 
-def _samples(path: Path, text: str) -> tuple[list[tuple[int, Any]], Mapping[str, str]]:
-    """(line, sample), the line 0 where samples are no lines; and units by name that the format has."""
+def _samples(path: Path, text: str) -> tuple[list[tuple[int, Any]], Mapping[str, float]]:
+    """(line, sample), the line 0 where samples are no lines; and what a run states of itself."""
     try:
         whole = json.loads(text)
     except json.JSONDecodeError as error:
         if not error.msg.startswith("Extra data"):
             raise InputError(path, f"line {error.lineno}", error.msg, f"JSON: {_ALLOWED}") from None
     else:
-        units = RUN_UNITS if isinstance(whole, dict) and whole.keys() >= RUN else {}
-        return [(0, sample) for sample in _find(whole) or []], units
+        is_run = isinstance(whole, dict) and whole.keys() >= RUN
+        return [(0, sample) for sample in _find(whole) or []], _describe_run(path, whole) if is_run else {}
     found = []
     for number, line in enumerate(lines_of(text), start=1):
         if line.strip():
@@ -57,6 +59,15 @@ def _samples(path: Path, text: str) -> tuple[list[tuple[int, Any]], Mapping[str,
             except json.JSONDecodeError as error:
                 raise InputError(path, f"line {number}", error.msg, "an object of JSON in each line") from None
     return found, {}
+
+
+def _describe_run(path: Path, whole: Mapping[str, Any]) -> Mapping[str, float]:
+    """What a run states of itself, as `Log.run` has it."""
+    for key in RUN - {"entries"}:
+        if type(whole[key]) not in (int, float) or not 0.0 <= whole[key] < math.inf:
+            raise InputError(path, key, whole[key], "a number, 0 or more, of a run with a weight on an arm")
+    names = {"mass": "mass", "length": "length", "kp": "gain", "vin": "supply"}
+    return {name: float(whole[key]) for key, name in names.items()}
 
 
 def _find(content: Any) -> list[Any] | None:

@@ -20,6 +20,8 @@ _WORDS: Final[Mapping[Role, str]] = {
     "encoderposition|rotorposition|pfb|plfb|(?:g[n1-3])?xist[12]|posizione|posición|posicion|位置|角度|θ|φ",
     "force": "f|u|force|kraft|loadcell|torque|trq|moment|drehmoment|m|tau|current|strom|iq|i|ilfb|effort|couple|coppia|"
     "par|forza|fuerza|转矩|扭矩|トルク|电流|電流|τ",
+    "goal": "goal|goalpos|goalposition",
+    "enabled": "enabled|torqueenable|torqueenabled",
     "velocity": "v|vel|velocity|speed|dq|qd|qdot|geschwindigkeit|drehzahl|omega|w|vfb|vlfb|vitesse|velocità|velocidad|"
     "速度|ω",
 }

@@ -208,6 +208,8 @@ def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int],
     listed = next((p for p in usual if abs(float(np.median(periods)) - p) <= rest), None)
     if count < 2 and (listed is None or sizes[jumps[0]] <= _ONE * rest):
         return  # an encoder that jumped
+    if listed is None and count % 2 == 0 and bool(np.all(np.diff(jumps)[::2] == 1)):
+        return  # lone readings that failed: there and straight back
     off = float(np.median(np.abs(before - after)) + np.ptp(periods))
     period = listed if listed is not None else _round_number(float(np.median(periods)), min(off, rest / 4.0))
     first, column = int(jumps[0]), source.quantity.column

@@ -81,6 +81,7 @@ class LogContent:
             source=str(self.path),
             kind=self.kind,
             payload=self.payload,
+            run=self.table.run,
             force_keys=next((source.keys for source in self.sources if source.quantity.role == "force"), {}),
         )
 
@@ -143,13 +144,13 @@ def understand_table(
     advice = advise_time_unit(timing.rate) if machine is None else ""
     if advice:
         say(f"{timing.rate:.4g} samples per second: {advice}")
-    columns = _complete(kind, columns, say)
     rate = machine.sampling.rate if machine is not None else stated
     resampling = None
-    if resampled and not _on_grid(timing, rate):
+    if (table.run or resampled) and not _on_grid(timing, rate):
         resampling = resample(path, columns, timing, rate)
         columns = dict(resampling.columns)
         say(resampling.note)
+    columns = _complete(kind, columns, say)
     payload = mapping is not None and mapping.payload
     content = LogContent(path, table, kind, sources, timing, resampling, columns, payload=payload)
     scaled = note_speed_scale(content.log)
@@ -184,7 +185,9 @@ def _complete(kind: Kind, columns: dict[str, Array], say: Note) -> dict[str, Arr
             f"off by 0.1 % of its largest moves them by {drift:.2g} {units.position} by the end: nothing that depends "
             "on place, nor displacement before break-away, can be trusted"
         )
-    if names["force"] not in columns:
+    if names["force"] not in columns and names["friction"] not in columns:
+        columns = columns | {names["force"]: np.full(len(time), np.nan)}  # the command stands for it
+    elif names["force"] not in columns:
         columns = columns | {names["force"]: columns[names["friction"]]}
         say(
             f"no {units.push}: {names['friction']} stands for it; what moves the axis, and its {units.inert}, "

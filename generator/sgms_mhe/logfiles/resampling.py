@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from sgms_mhe.logfiles.timing import GAP, Timing
+from sgms_mhe.machine import COMMANDS
 from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 
@@ -77,8 +78,11 @@ def resample(path: Path, columns: Mapping[str, Array], timing: Timing, rate: flo
         at, known = time[good], values[good]
         if len(known) < 8:
             raise InputError(path, f"column {name}", f"{len(known)} numbers", "at least 8, to interpolate between them")
-        interpolations[name] = best = _best(at, known, float(np.std(known)))
+        if name in COMMANDS:  # held, not moved from one to the next
+            taken[name] = known[np.searchsorted(0.5 * (at[1:] + at[:-1]), grid)]
+            continue
         gap = _find_gap_points(grid, at, GAP * timing.step)
+        interpolations[name] = best = _best(at, known, float(np.std(known)))
         missing |= gap
         taken[name] = np.where(gap, np.nan, _interpolate(best.method, at, known, grid))
     return Resampling(chosen, taken, interpolations, int(np.count_nonzero(missing)))

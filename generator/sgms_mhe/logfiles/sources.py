@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from sgms_mhe.logfiles.names import is_usual, plain_name, split_name
 from sgms_mhe.logfiles.table import Column, Table
@@ -17,6 +17,7 @@ from sgms_mhe.machine import (
     COUNTS,
     QUANTITIES,
     REQUIRED,
+    Command,
     Kind,
     LogColumn,
     LogMapping,
@@ -112,9 +113,11 @@ def choose_sources(
         if clock is not None:
             time = _own(path, quantities["time"], table.named(clock), clock in table.stamped)
     friction = find("friction", required=False)
-    force = find("force", by_name=True, required=friction is None)
+    commands = [find(role, by_name=True, required=False) for role in get_args(Command)]
+    is_commanded = any(source is not None and source.quantity.role != "enabled" for source in commands)
+    force = find("force", by_name=True, required=friction is None and not is_commanded)
     rest = (find(role, required=False) for role in ("acceleration", "temperature"))
-    found = (time, position, force, velocity, friction, *rest)
+    found = (time, position, force, velocity, friction, *rest, *commands)
     if lost:
         raise _missing(path, table, lost, None)
     return kind, tuple(source for source in found if source is not None)

@@ -57,6 +57,7 @@ class Table:
         stamped: names of the columns that hold time stamps.
         notes: sentences on what was left out.
         clocks: name of the column that holds the time of another one, where columns have clocks of their own.
+        run: what the file states of its run, as `Log` has it.
     """
 
     form: str
@@ -67,6 +68,7 @@ class Table:
     stamped: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
     clocks: Mapping[str, str] = field(default_factory=dict)
+    run: Mapping[str, float] = field(default_factory=dict)
 
     def named(self, name: str) -> Column:
         """The column of a name."""

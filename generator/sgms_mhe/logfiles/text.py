@@ -63,6 +63,7 @@ def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
         cells.stamped,
         tuple(notes),
         {names[k]: names[clock] for k, clock in header.clocks.items()},
+        dialect.run,
     )
     return pivot(path, table, dialect, hints)
 

@@ -6,6 +6,7 @@ from sgms_mhe.machine.axis import Plant as Plant
 from sgms_mhe.machine.axis import Smoothing as Smoothing
 from sgms_mhe.machine.axis import plant_content as plant_content
 from sgms_mhe.machine.diagnosis import DiagnosisTable as DiagnosisTable
+from sgms_mhe.machine.drive import Drive as Drive
 from sgms_mhe.machine.estimator import Disturbance as Disturbance
 from sgms_mhe.machine.estimator import Estimator as Estimator
 from sgms_mhe.machine.fields import listing as listing
@@ -18,9 +19,11 @@ from sgms_mhe.machine.log_mapping import kinds_of as kinds_of
 from sgms_mhe.machine.log_mapping import log_line as log_line
 from sgms_mhe.machine.log_mapping import table_of_flags as table_of_flags
 from sgms_mhe.machine.log_units import BY_COLUMN as BY_COLUMN
+from sgms_mhe.machine.log_units import COMMANDS as COMMANDS
 from sgms_mhe.machine.log_units import COUNTS as COUNTS
 from sgms_mhe.machine.log_units import QUANTITIES as QUANTITIES
 from sgms_mhe.machine.log_units import REQUIRED as REQUIRED
+from sgms_mhe.machine.log_units import Command as Command
 from sgms_mhe.machine.log_units import Quantity as Quantity
 from sgms_mhe.machine.log_units import Role as Role
 from sgms_mhe.machine.log_units import normal_unit as normal_unit

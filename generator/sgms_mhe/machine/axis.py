@@ -30,6 +30,10 @@ class Plant(MachineTable):
         None, gt=0, le=1e6, description="moved inertia [kg m^2]; > 0 and <= 1e+06; required of a rotary axis"
     )
 
+    weight_radius: float | None = Field(
+        None, ge=0, le=10, description="radius of gyration of the weights that runs state [m]; default: points"
+    )
+
     @property
     def units(self) -> Units:
         """Return the names of the units of this kind of axis."""
@@ -48,6 +52,8 @@ class Plant(MachineTable):
         own, other = ("mass", "inertia") if self.kind == "linear" else ("inertia", "mass")
         if getattr(self, own) is None:
             raise refusal(own, None, f"required of a {self.kind} axis: moved {own} [{self.units.mass}], > 0")
+        if self.kind == "linear" and self.weight_radius is not None:
+            raise refusal("weight_radius", self.weight_radius, "no such key: a weight on an arm turns a rotary axis")
         if getattr(self, other) is not None:
             allowed = f'{own} [{self.units.mass}] of a {self.kind} axis, or kind = "{_OTHER[self.kind]}"'
             raise refusal(other, getattr(self, other), allowed)

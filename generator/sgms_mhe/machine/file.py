@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, SkipValidation, model_validator
 from sgms_mhe.machine.axis import Friction, Plant
 from sgms_mhe.machine.code import Code, Compensation
 from sgms_mhe.machine.diagnosis import DiagnosisTable
+from sgms_mhe.machine.drive import Drive
 from sgms_mhe.machine.estimator import Estimator
 from sgms_mhe.machine.fields import MachineTable, refusal, text
 from sgms_mhe.machine.log_mapping import LogMapping
@@ -72,6 +73,7 @@ class Tables(MachineTable):
     sampling: Sampling = Field(
         Sampling(integrator=Integrator(substeps=100)), description="rates; default 10 kHz, 100 Hz"
     )
+    drive: Drive = Field(Drive(), description="what a command does that is no force; default: the command is a force")
     estimator: Estimator = Field(Estimator(), description="the observer; default as in its keys")
     compensation: Compensation = Field(
         Compensation(), description="the friction fed forward; default: at once, unlimited, without a delay"

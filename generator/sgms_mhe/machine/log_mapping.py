@@ -106,7 +106,7 @@ Source = Annotated[LogColumn | None, BeforeValidator(_as_column, json_schema_inp
 
 
 def _column(name: str) -> Any:
-    units = listing(BY_COLUMN[name].allowed)
+    units = listing(filter(None, BY_COLUMN[name].allowed)) or "none"
     keys = ", ".join(LogColumn.model_fields)
     allowed = f"a variable's name or {{ {keys} }}; unit {units}"
     return Field(None, description=f"source of the log's column {name}; {allowed}; default: a variable named {name}")
@@ -127,6 +127,11 @@ class LogMapping(_Spare):
     velocity_rad_s: Source = _column("velocity_rad_s")
     acceleration_rad_s2: Source = _column("acceleration_rad_s2")
     friction_Nm: Source = _column("friction_Nm")
+    goal_m: Source = _column("goal_m")
+    goal_rad: Source = _column("goal_rad")
+    voltage_V: Source = _column("voltage_V")
+    duty: Source = _column("duty")
+    enabled: Source = _column("enabled")
     rate: float | None = Field(
         None,
         gt=0,

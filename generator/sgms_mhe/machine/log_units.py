@@ -9,11 +9,13 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from sgms_mhe.machine.units import Kind
 
-Role = Literal["time", "position", "force", "velocity", "acceleration", "friction", "temperature"]
+Command = Literal["goal", "voltage", "duty", "enabled"]
+"""What a drive is told: the goal of its position loop, its voltage or its share of the supply, and if it is on."""
+Role = Literal["time", "position", "force", "velocity", "acceleration", "friction", "temperature"] | Command
 """What a quantity is on either kind of axis; the force of a rotary one is its torque."""
 
 REQUIRED: Final[tuple[Role, ...]] = ("time", "position", "force")
@@ -70,6 +72,11 @@ _TIME: Final = Quantity("time", "time_s", "s", _factors(s=1.0, ms=1e-3, us=1e-6,
 _TEMPERATURE: Final = Quantity(
     "temperature", "temperature_degC", "degC", {"degC": (1.0, 0.0), "K": (1.0, -273.15), "degF": (5 / 9, -160 / 9)}
 )
+_COMMANDS: Final = (
+    Quantity("voltage", "voltage_V", "V", _factors(V=1.0, mV=1e-3)),
+    Quantity("duty", "duty", "", {"": (1.0, 0.0), "%": (0.01, 0.0)}),
+    Quantity("enabled", "enabled", "", {"": (1.0, 0.0)}),
+)
 _SLOW_LENGTHS: Final = {"m/min": (1.0 / 60.0, 0.0), "mm/min": (1e-3 / 60.0, 0.0)}
 _SLOW_ANGLES: Final = {"rpm": (_TURN / 60.0, 0.0)}
 
@@ -82,6 +89,8 @@ QUANTITIES: Final[Mapping[Kind, tuple[Quantity, ...]]] = {
         Quantity("acceleration", "acceleration_m_s2", "m/s^2", _over(_LENGTHS, "s^2") | {"g": (9.80665, 0.0)}),
         Quantity("friction", "friction_N", "N", _FORCES, recorded=RECORDED),
         _TEMPERATURE,
+        Quantity("goal", "goal_m", "m", _LENGTHS, 1.0),
+        *_COMMANDS,
     ),
     "rotary": (
         _TIME,
@@ -91,6 +100,8 @@ QUANTITIES: Final[Mapping[Kind, tuple[Quantity, ...]]] = {
         Quantity("acceleration", "acceleration_rad_s2", "rad/s^2", _over(_ANGLES, "s^2")),
         Quantity("friction", "friction_Nm", "N m", _TORQUES, recorded=RECORDED),
         _TEMPERATURE,
+        Quantity("goal", "goal_rad", "rad", _ANGLES, _TURN),
+        *_COMMANDS,
     ),
 }
 """Quantities of a log by the kind of the axis, the required ones first."""
@@ -99,6 +110,9 @@ BY_COLUMN: Final[Mapping[str, Quantity]] = {
     quantity.column: quantity for quantities in QUANTITIES.values() for quantity in quantities
 }
 """Every quantity of either kind by its column."""
+
+COMMANDS: Final = frozenset(name for name, quantity in BY_COLUMN.items() if quantity.role in get_args(Command))
+"""Columns of commands: held between their samples, and no measurements."""
 
 _SIGNS: Final = (("µ", "u"), ("μ", "u"), ("²", "^2"), ("**", "^"), ("°C", "degC"), ("°F", "degF"), ("°", "deg"))
 _SPELLINGS: Final = {

@@ -12,6 +12,7 @@ from typing import Any
 from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant
 from sgms_mhe.machine.code import Code, Compensation
 from sgms_mhe.machine.diagnosis import DiagnosisTable
+from sgms_mhe.machine.drive import Drive
 from sgms_mhe.machine.estimator import Disturbance, Estimator
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import Sampling
@@ -49,8 +50,8 @@ class Machine(Shown):
     """A machine file, resolved and checked; made by `sgms_mhe.configuration` alone.
 
     Attributes:
-        name, description, plant, friction, sampling, compensation, code, effects, diagnosis, log: keys and tables of
-            the file.
+        name, description, plant, friction, sampling, drive, compensation, code, effects, diagnosis, log: keys and
+            tables of the file.
         source: the file that this machine was read from.
         estimator: what it estimates has the catalogue's names, those of a linear axis, as `effects` has.
         content: what the file says, `extends` merged, defaults not filled in, in the names of this kind of axis.
@@ -61,6 +62,7 @@ class Machine(Shown):
     plant: Plant
     friction: Friction
     sampling: Sampling
+    drive: Drive
     estimator: Estimator
     compensation: Compensation
     code: Code
@@ -77,9 +79,9 @@ class Machine(Shown):
     def digest(self) -> str:
         """SHA-256 (hex) of the resolved content: the same wherever the file lies and however it is written.
 
-        `[diagnosis]` is left out: it stands in every emitted file, and no threshold changes one.
+        `[diagnosis]` and `[drive]` are left out: it stands in every emitted file, and neither changes one.
         """
-        emitted = {key: value for key, value in self.as_dict().items() if key != "diagnosis"}
+        emitted = {key: value for key, value in self.as_dict().items() if key not in ("diagnosis", "drive")}
         content = json.dumps(emitted, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(content.encode()).hexdigest()
 
@@ -98,6 +100,7 @@ class Machine(Shown):
             "name": self.name,
             "description": self.description,
             **content,
+            **({} if self.drive == Drive() else {"drive": self.drive.model_dump(exclude_none=True)}),
             "effects": [effect.entry(units) for effect in self.effects],
             "log": None if self.log is None else self.log.model_dump(mode="json", by_alias=by_alias),
         }

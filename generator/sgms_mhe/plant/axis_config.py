@@ -9,7 +9,7 @@ from typing import Final, Literal, Self
 from sgms_mhe.support.errors import InputError
 
 LAWS: Final = ("sgms", "maxwell_slip")
-CONTROLS: Final = ("prescribed", "position", "force")
+CONTROLS: Final = ("prescribed", "position", "force", "logged", "command")
 SUBSTEP_S: Final = 12.5e-6
 MAX_SUBSTEPS: Final = 256
 
@@ -62,7 +62,8 @@ class AxisConfig:
         law: friction law, "sgms" or the switching "maxwell_slip" (stick until the level, slip at it); None: the machine
             file's.
         control: "position" (closed loop), or "prescribed" (the mass follows the reference exactly; velocity constant
-            per sample, the force is what that takes), or "force" (the reference is the drive's force).
+            per sample, the force is what that takes), or driven by the reference: "force" of the drive, "logged" (that
+            of a log, linear between samples), "command" (of the machine's [drive], held between samples).
         bandwidth_Hz: of the default controller; None: 80 Hz, or 1/40 of the sample rate where that is less.
         controller: gains; None: `Controller.pid` at the bandwidth for the machine's mass.
         current_loop_Hz: first-order bandwidth from command to force; inf: none. The log has the force behind it.
@@ -75,7 +76,7 @@ class AxisConfig:
     """
 
     law: Literal["sgms", "maxwell_slip"] | None = None
-    control: Literal["prescribed", "position", "force"] = "position"
+    control: Literal["prescribed", "position", "force", "logged", "command"] = "position"
     bandwidth_Hz: float | None = None
     controller: Controller | None = None
     current_loop_Hz: float = 1000.0

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.machine import Friction, Machine, Plant, Smoothing
+from sgms_mhe.machine import Drive, Friction, Machine, Plant, Smoothing
 from sgms_mhe.model.effects import EffectParameter, Value, effect_definition, effect_names
 from sgms_mhe.plant.axis_config import CONTROLS, LAWS, MAX_SUBSTEPS, SUBSTEP_S, AxisConfig, Controller
 from sgms_mhe.support.errors import InputError
@@ -22,7 +22,11 @@ from sgms_mhe.support.toolchain import load_library, shared_library
 
 Array = NDArray[np.float64]
 
-SOURCES: Final = ("axis.c", "axis_effects.c")
+SOURCES: Final = ("axis.c", "axis_drive.c", "axis_effects.c")
+DRIVES: Final = ("voltage", "position_loop")
+"""enum axis_drive of the C, from 1 on."""
+DRIVE: Final = {"gain_unit": "loop_gain", "delay": "command_delay"}
+"""Settings of the C by keys of [drive], where they have other names."""
 _HISTORY: Final = 4096
 _RESONANT: Final = 0.5
 """AXIS_HISTORY and RESONANT of the C."""
@@ -109,7 +113,7 @@ def loaded_library() -> Library:
         "axis_run": (size, [axis, ctypes.c_void_p, size, size, size, ctypes.POINTER(_Record)]),
         "axis_start": (None, [axis, number, number, number]),
         "axis_follow": (None, [axis, ctypes.c_void_p, ctypes.c_void_p, size, size, size, ctypes.c_void_p]),
-        "axis_run_free": (size, [axis, ctypes.c_void_p, size, size, size, ctypes.c_void_p]),
+        "axis_enable": (None, [axis, ctypes.c_void_p]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(c, name)
@@ -150,6 +154,10 @@ def _to_all(senders: Sequence[Callable[[float], None]], value: float) -> None:
         send(value)
 
 
+def _send_product(send: Callable[[float], None], factor: float, value: float) -> None:
+    send(factor * value)
+
+
 def effect_limits(parameter: EffectParameter) -> Limits:
     """Return the limits of an effect's parameter."""
     return Limits(parameter.lower, parameter.upper, parameter.allowed)
@@ -159,7 +167,7 @@ def effect_limits(parameter: EffectParameter) -> Limits:
 def base_limits() -> Mapping[str, Limits]:
     """Limits of mass and friction parameters by their key in the machine file, an array's for each entry."""
     limits = {}
-    for table in (Plant, Friction, Smoothing):
+    for table in (Plant, Friction, Smoothing, Drive):
         for name, key in table.model_json_schema()["properties"].items():
             spec = key.get("items", key.get("anyOf", [key])[0])  # what may be left out is a number or nothing
             if spec.get("type") != "number":
@@ -222,6 +230,8 @@ class NativeAxis:
         fixed = self._fixed_parameters(machine, config)
         for name, value in fixed.items():
             self._setting(name)(value)
+        if config.control == "command":
+            self._declare_drive(machine.drive, limits)
         self._substep_s = 1.0 / (fixed["rate"] * fixed["substeps"])
         seen: Counter[str] = Counter()
         for effect, values in [*((e.name, e.parameters) for e in machine.effects), *hidden_effects]:
@@ -234,6 +244,15 @@ class NativeAxis:
                     f"one for a {machine.plant.kind} axis; this is for {' or '.join(kinds)} ones",
                 )
             self._add_effect(effect, effect if seen[effect] == 1 else f"{effect}_{seen[effect]}", values)
+
+    def _declare_drive(self, drive: Drive, limits: Mapping[str, Limits]) -> None:
+        """Set what the drive has; its numbers are `drive.KEY`."""
+        self._setting("drive")(DRIVES.index(drive.kind) + 1)
+        for key, value in drive.model_dump(exclude={"kind", "gain"}, exclude_none=True).items():
+            send = self._setting(DRIVE.get(key, key))
+            if key == "gain_unit":
+                send = partial(_send_product, send, drive.gain or 0.0)
+            self._declare(f"drive.{key}", value, send, limits[key])
 
     @staticmethod
     def _fixed_parameters(machine: Machine, config: AxisConfig) -> dict[str, float]:
@@ -296,6 +315,11 @@ class NativeAxis:
             self._compensation = COMPENSATION(lambda _, position, force: compensation(position, force))
         self._c.axis_set_compensation(self._memory, self._compensation, context)
 
+    def enable(self, on: Array | None) -> None:
+        """Say at which samples of its commands (n) the drive is on: above 0.5; None: always."""
+        self._kept.append(on)
+        self._c.axis_enable(self._memory, None if on is None else on.ctypes.data)
+
     def place(self, position: float) -> None:
         """Put the axis at rest."""
         self._apply()
@@ -337,10 +361,10 @@ class NativeAxis:
         return acceleration
 
     def run_free(self, force: Array, start: int, end: int, position: float, velocity: float, strain: float) -> Array:
-        """Return positions that a logged force makes of samples `start` to `end`, and be as before.
+        """Return positions that a logged force or command makes of samples `start` to `end`, and be as before.
 
         Args:
-            force: logged (n) [N].
+            force: logged (n) [N], or the command [m or V] where the axis is commanded.
             start, end: samples.
             position, velocity: at the first of them [m, m/s].
             strain: added to every element's, over its break-away.
@@ -350,8 +374,9 @@ class NativeAxis:
         """
         before, positions = self._memory.raw, np.full(end - start, math.nan)
         self._c.axis_start(self._memory, position, velocity, strain)
-        args = (force.ctypes.data, len(force), start, end - start, positions.ctypes.data)
-        positions[self._c.axis_run_free(self._memory, *args) :] = math.nan
+        record = _Record(position_m=positions.ctypes.data)
+        args = (force.ctypes.data, len(force), start, end - start, ctypes.byref(record))
+        positions[self._c.axis_run(self._memory, *args) :] = math.nan
         ctypes.memmove(self._memory, before, len(before))
         return positions
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -120,7 +120,13 @@ def simulate_axis(
         raise InputError(
             trajectory.name, "rate", trajectory.rate, f"the machine's sampling.rate, {machine.sampling.rate:g} Hz"
         )
-    axis = NativeAxis(machine, config or AxisConfig(), hidden_effects)
+    config, loop = config or AxisConfig(), machine.drive.kind
+    if loop != "force" and config.control == "position":  # its own loop, whose goal the reference is
+        if loop == "voltage":
+            allowed = "force or position_loop: a reference is a motion, which no voltage says"
+            raise InputError("simulation", "[drive] kind", loop, allowed)
+        config = replace(config, control="command", current_loop_Hz=math.inf)
+    axis = NativeAxis(machine, config, hidden_effects)
     for name, value in parameters.items():
         axis.replace(name, value)
     for name, value in scale.items():
@@ -146,6 +152,7 @@ def simulate_axis(
         time_s=time,
         position_m=columns["position_m"],
         force_N=columns["force_N"],
+        goal_m=reference if machine.drive.kind == "position_loop" else None,
         rate=trajectory.rate,
         source=f"simulated {machine.name}, {trajectory.name}",
         kind=machine.plant.kind,

@@ -1,4 +1,4 @@
-"""Free run: the motion that a machine makes of the measured force alone, and how long it stays near the measured one.
+"""Free run: motion that a machine makes of a logged force or a command alone, and how long it stays near the real one.
 
 The simulated axis (`plant/`) runs from the first samples of every stretch without a gap. Before such a start it follows
 the measured motion, so that elements, lags and clocks are those of the record.
@@ -22,6 +22,7 @@ from sgms_mhe.plant.axis_config import MAX_SUBSTEPS, AxisConfig
 from sgms_mhe.plant.native import NativeAxis
 from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.chain import readings
+from sgms_mhe.signals.drive import command_of, fill_force, switched_on
 from sgms_mhe.signals.logs import Log, check_rate
 from sgms_mhe.signals.noise import encoder_step, position_noise
 from sgms_mhe.support.errors import InputError
@@ -32,6 +33,8 @@ Array = NDArray[np.float64]
 FIRST: Final = 20
 """Samples that a start is estimated from, and that are not compared."""
 LONGEST_STEP_S: Final = 1e-4
+COMMANDED_STEP_S: Final = 1e-3
+"""Longest step of an axis whose loop and gear are slow: a smart servo's."""
 STEPS_PER_RADIAN: Final = 10.0
 """Of the fastest oscillation: its period is then right to 0.04 %."""
 SHOTS: Final = 20
@@ -110,7 +113,7 @@ class FreeRun(Shown):
         """Draw position measured and simulated over time; return the matplotlib axes, those given or new ones."""
         axes = labelled_axes(axes, "time [s]", f"position [{OF_KIND[self.kind].position}]")
         axes.plot(self.time_s, self.position_m, linewidth=1.0, color="0.6", label="measured")
-        axes.plot(self.time_s, self.simulated_position_m, linewidth=1.0, label="from the force alone")
+        axes.plot(self.time_s, self.simulated_position_m, linewidth=1.0, label="free run")
         axes.legend()
         return axes
 
@@ -160,7 +163,8 @@ class MotionRecord:
         if log.is_friction_alone or log.payload:
             said = f"a log with the {log.units.push} that moves the axis, and no mass beside it"
             raise InputError(log.source or "log", "free run", log.units.named("friction_N"), said)
-        log = readings(log)
+        log = readings(fill_force(log, machine))
+        self._command, self._on = command_of(log, machine), switched_on(log)
         self.log, self.position = log, log.position_m
         good = np.isfinite(log.position_m) & np.isfinite(log.force_N)
         since = log.time_s - log.time_s[0]
@@ -181,11 +185,17 @@ class MotionRecord:
 
     def axis(self, machine: Machine, parameters: Mapping[str, float] = _NONE) -> NativeAxis:
         """Return a machine's axis that a force drives, at rest at the first sample, with these true numbers."""
-        axis = NativeAxis(_set_rate(machine, self.log.rate), _config(machine, self.log.rate), ())
+        commanded = self._command is not None
+        axis = NativeAxis(_set_rate(machine, self.log.rate), _config(machine, self.log.rate, commanded), ())
+        axis.enable(self._on)
         for name, value in parameters.items():
             axis.replace(name, value)
         axis.place(float(self._followed[0]))
         return axis
+
+    @property
+    def _driving(self) -> Array:
+        return self._force if self._command is None else self._command
 
     def run(
         self, axis: NativeAxis, shots: Sequence[tuple[int, int]], starts: Sequence[ShotStart] = ()
@@ -199,7 +209,7 @@ class MotionRecord:
             axis.follow(self._followed, self._force, here, first)
             here = first
             start = starts[i] if starts else self._estimate(axis, first)
-            runs.append(axis.run_free(self._force, first, end, start.position, start.velocity, start.strain))
+            runs.append(axis.run_free(self._driving, first, end, start.position, start.velocity, start.strain))
             taken.append(start)
         return runs, taken
 
@@ -226,7 +236,7 @@ class MotionRecord:
         guess = np.array([level, slope, 0.0])
 
         def residual(x: Array) -> Array:
-            moved = axis.run_free(self._force, first, first + FIRST, *(guess + scale * x).tolist())
+            moved = axis.run_free(self._driving, first, first + FIRST, *(guess + scale * x).tolist())
             return np.append(np.nan_to_num((moved - measured) / self.noise, nan=1e9), x[2])
 
         found = least_squares(residual, np.zeros(3), bounds=([-np.inf, -np.inf, -1.0], [np.inf, np.inf, 1.0]))
@@ -237,16 +247,17 @@ def _set_rate(machine: Machine, rate: float) -> Machine:
     return replace(machine, sampling=machine.sampling.model_copy(update={"rate": rate}))
 
 
-def _config(machine: Machine, rate: float) -> AxisConfig:
-    """Return an axis that the force drives, sensors without errors, in steps that resolve its oscillations."""
+def _config(machine: Machine, rate: float, commanded: bool) -> AxisConfig:
+    """Return an axis that force or command drive, sensors without errors, in steps that resolve its oscillations."""
     numbers = [(name, x) for effect in machine.effects for name, x in effect.parameters.items() if isinstance(x, float)]
     stiffness = sum(machine.friction.stiffness) + sum(abs(x) for name, x in numbers if name.endswith("_N_m"))
     fastest = max(
         [math.sqrt(stiffness / machine.plant.moved)] + [2.0 * math.pi * x for n, x in numbers if n.endswith("_Hz")]
     )
-    steps = math.ceil(max(1.0 / LONGEST_STEP_S, STEPS_PER_RADIAN * fastest) / rate - 1e-9)
+    longest = COMMANDED_STEP_S if commanded else LONGEST_STEP_S
+    steps = math.ceil(max(1.0 / longest, STEPS_PER_RADIAN * fastest) / rate - 1e-9)
     return AxisConfig(
-        control="force",
+        control="command" if commanded else "logged",
         current_loop_Hz=math.inf,
         encoder_resolution_m=0.0,
         force_noise_N=0.0,
@@ -257,7 +268,7 @@ def _config(machine: Machine, rate: float) -> AxisConfig:
 def run_freely(
     machine: Machine, log: Log, *, start_s: float = 0.0, end_s: float = math.inf, tolerance_m: float | None = None
 ) -> FreeRun:
-    """Run a machine by the force in a log alone, anew after every gap.
+    """Run a machine by the force in a log alone, or by the command that its drive takes, anew after every gap.
 
     Args:
         machine: with all its effects.
@@ -266,7 +277,8 @@ def run_freely(
         tolerance_m: error of the horizon [m]; None: 1 % of the range of the positions.
 
     Raises:
-        InputError: a log without a force, or without a stretch long enough; an effect that the plant does not know.
+        InputError: a log without a force or a command for this drive, or without a stretch long enough; an effect that
+            the plant does not know.
     """
     record = MotionRecord(machine, log, start_s, end_s)
     n = len(log)

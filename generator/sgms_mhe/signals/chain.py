@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import COMMANDS, Machine
 from sgms_mhe.signals.logs import Log, check_rate
 from sgms_mhe.signals.noise import find_jumps
 from sgms_mhe.support.arrays import Array, Index, Mask
@@ -277,7 +277,9 @@ def _within_limits(log: Log) -> Log:
 
 def _channels(log: Log) -> dict[str, Array]:
     """The columns that the chain takes."""
-    return {name: values for name, values in log.columns.items() if name not in ("time_s", "temperature_degC")}
+    return {
+        name: values for name, values in log.columns.items() if name not in COMMANDS | {"time_s", "temperature_degC"}
+    }
 
 
 def _missing(log: Log) -> Mask:

@@ -31,7 +31,9 @@ class Log(Shown):
     Of a rotary axis `position_m` is its angle [rad], `force_N` the torque [N m], and so on: `kind` says which it is.
     `rate` [Hz] is measured from time_s. The optional columns are used in place of what would be computed. `payload`:
     whether it moves a mass of its own beside the axis, as `[log] payload` says. `force_keys`: what a line
-    of `[log]` has to say for the force that was read.
+    of `[log]` has to say for the force that was read. `run`: what a
+    run states of itself: mass [kg] of the weight on its arm, whose length [m] hangs down at 0, gain and supply [V] of
+    its drive. Without a force (NaN throughout) a command drives the axis.
     """
 
     time_s: Array
@@ -44,7 +46,12 @@ class Log(Shown):
     temperature_degC: Array | None = None
     source: str = ""
     kind: Kind = "linear"
+    goal_m: Array | None = None
+    voltage_V: Array | None = None
+    duty: Array | None = None
+    enabled: Array | None = None
     payload: bool = False
+    run: Mapping[str, float] = field(default_factory=dict)
     force_keys: Mapping[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -66,9 +73,20 @@ class Log(Shown):
         """Return True if a recorded friction stands for the force: what moves the axis is unknown."""
         return self.friction_N is not None and np.array_equal(self.force_N, self.friction_N, equal_nan=True)
 
+    @property
+    def is_commanded(self) -> bool:
+        """Return True if no force was recorded: what drives the axis is a command."""
+        return bool(np.isnan(self.force_N).all())
+
     def to_frame(self) -> Any:
         """A pandas.DataFrame of the columns that are present, named as in a log file of this kind of axis."""
-        return data_frame(self.units.keyed(self.columns))
+        return data_frame(self._recorded())
+
+    def _recorded(self) -> dict[str, Array]:
+        """Columns of a file, as this kind of axis names them: no force where none was recorded."""
+        kept = {name: values for name, values in self.columns.items() if name != "force_N" or not self.is_commanded}
+        recorded: dict[str, Array] = self.units.keyed(kept)
+        return recorded
 
     def plot(self, axes: Any | None = None) -> Any:
         """Draw the force over time; return the matplotlib axes, those given or new ones."""
@@ -78,7 +96,7 @@ class Log(Shown):
         return axes
 
     def _shown(self) -> Presentation:
-        columns = self.units.keyed(self.columns)
+        columns = self._recorded()
         rows = [(name, f"{np.nanmin(v):.6g}", f"{np.nanmax(v):.6g}", np.isnan(v).sum()) for name, v in columns.items()]
         title = f"{self.source or 'log'}: {len(self)} samples at {self.rate:.6g} Hz"
         return title, ("column", "least", "largest", "missing"), rows
@@ -148,7 +166,7 @@ _CLOCKS: Final = {unit: factor for unit, (factor, _) in QUANTITIES["linear"][0].
 
 def write_log(path: str | Path, log: Log) -> None:
     """Write a log atomically as CSV (numbers by shortest round-trip) or, by its suffix, as NPZ; columns of its kind."""
-    columns = log.units.keyed(log.columns)
+    columns = log._recorded()
     if Path(path).suffix.lower() == ".npz":
         with atomic_write(path) as stream:
             np.savez(stream, allow_pickle=False, **columns)

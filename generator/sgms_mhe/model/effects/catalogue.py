@@ -154,6 +154,12 @@ def effect_names(kind: Kind | None = None) -> tuple[str, ...]:
     return tuple(name for name in usable if kind is None or kind in effect_definition(name).kinds)
 
 
+WEIGHT: Final = "unbalance"
+"""Effect that is the weight of an arm, on a rotary axis that rests at 0."""
+GEAR_FRICTION: Final = "load_dependent_friction"
+"""Effect that is the friction of a gear under its load."""
+
+
 def mass_effect() -> tuple[str, str]:
     """Effect that is a mass beside the machine file's, and its parameter."""
     definitions = ((name, effect_definition(name).adds_mass) for name in EFFECT_NAMES)
