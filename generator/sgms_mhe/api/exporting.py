@@ -91,6 +91,8 @@ def export(
         BuildError: an FMU, or a log, where the C compiler refused.
     """
     axis, form = load(machine), find_form(to)
+    if axis.drive.kind != "force":
+        raise InputError(axis.source, "drive.kind", axis.drive.kind, "force: no other simulator's form holds a drive")
     path = None if out is None else Path(out)
     is_file = path is not None and (path.is_file() or not path.exists())  # no pipe, no /dev/stdout
     if path is not None and is_file and path.suffix.lower() not in form.suffixes:
