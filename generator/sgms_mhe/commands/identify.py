@@ -42,7 +42,8 @@ def command(
     """Write a machine file from measurements alone.
 
     No starting values are asked for. Prints what the logs determine, with intervals of two standard deviations, and
-    what they do not, with the move that would.
+    what they do not, with the move that would. Logs without a force, but with a command, tell what the command does:
+    runs of servos that state load, gain and supply alone, others with the [drive] of --like.
 
     Args:
         out: the machine file to write; its stem is the machine's name.
@@ -53,13 +54,21 @@ def command(
         raise click.BadParameter(allowed, param_hint="'--elements'")
     common.check_output_file(out, (".toml",))
 
-    from sgms_mhe.api.identification import identify
+    from sgms_mhe.api.identification import identify, identify_commanded
     from sgms_mhe.api.inputs import read_logs
     from sgms_mhe.diagnosis.record_residual import measure_residual
     from sgms_mhe.support.files import write_text
 
     model = load_for_log(like, log_table) if like is not None else None
     read = read_logs(log, model, table=log_table, note=common.note)
+    if any(record.is_commanded for record in read):
+        axis = identify_commanded(read, out.stem, like=model, **options)
+        write_text(out, axis.toml)
+        rows = [[axis.machine.plant.units.named(n.name), n.interval, n.note] for n in axis.numbers]
+        table = common.table_text(["number", "value +- 2 sigma", ""], rows)
+        text = f"{table}\n{axis.describe()}\nmachine file: {out}"
+        common.show(common.json_text(axis.to_json() | {"file": str(out)}) if json else text, out)
+        return
     with trace_decisions(trace), common.step_notes() as progress:
         found = identify(
             read,

@@ -69,6 +69,11 @@ class Number:
         stated = Statement.of_number(self.rule, units.named(self.name), self.value, self.std, unit, **self.words)
         return replace(stated, next=self.next)
 
+    def to_json(self, units: Units) -> dict[str, Any]:
+        """Plain data, named as in a file of this kind of axis."""
+        name = units.named(self.name)
+        return {"name": name, "value": self.value, "std": self.std, "identified": self.determined, "note": self.note}
+
 
 @dataclass(frozen=True, repr=False)
 class Identification(Shown):
@@ -161,16 +166,7 @@ class Identification(Shown):
             "law": self.law,
             "law_decided": self.law_decided,
             "elements": self.machine.friction.n_z,
-            "numbers": [
-                {
-                    "name": units.named(n.name),
-                    "value": n.value,
-                    "std": n.std,
-                    "identified": n.determined,
-                    "note": n.note,
-                }
-                for n in self.numbers
-            ],
+            "numbers": [number.to_json(units) for number in self.numbers],
             "residual_rms_N": {
                 "all": self.rms_N,
                 "held_out": self.held_out_rms_N,

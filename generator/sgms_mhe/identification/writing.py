@@ -87,8 +87,8 @@ def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Num
     """The file: `head` as comments, then the content, numbers with their intervals."""
     notes = _notes(units, numbers)
     lines = [line for text in head for line in wrap_comment(text)]
-    lines += [toml_line(key, content[key]) for key in ("name", "description")]
-    for table in ("plant", "friction", "sampling", "estimator", "compensation", "code", "diagnosis", "log"):
+    lines += [toml_line(key, content[key]) for key in ("name", "description") if key in content]
+    for table in ("plant", "friction", "sampling", "drive", "estimator", "compensation", "code", "diagnosis", "log"):
         if table in content:
             lines += toml_tables(table, content[table], notes)
         if table == "friction":
@@ -117,7 +117,7 @@ def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
         if "." in number.name:
             notes[units.named(number.name)] = said
         elif not number.name.startswith(ELEMENTS):
-            table = "plant" if number.name == "mass" else "friction"
+            table = "plant" if number.name in ("mass", "weight_radius") else "friction"
             unit = number.state(units).unit
             notes[f"{table}.{units.named(number.name)}"] = f"{unit}: {said}" if unit else said
     notes["friction.stiffness"] = units.stiffness

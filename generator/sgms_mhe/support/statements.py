@@ -77,6 +77,7 @@ class Rule(Enum):
     UNSEEN = "number", "no", "the record does not show it"
     STAND_IN = "number", "no", "not determined: a stand-in"
     DEFAULT = "number", "no", "not determined: the default"
+    AT_LIMIT = "number", "no", "not determined: at its limit"
     ALIKE = "number", "open", "ambiguous: or {others}"
     IN_DOUBT = "number", "open", "measurements contradict the model at the end"
     MASS_SEEN = "number", "yes", "of the motion, as the {push}'s scale has it"
