@@ -114,7 +114,7 @@ static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d
 
 static inline sgms_position sgms_position_from(sgms_real metres)
 {
-    return metres;
+    return (sgms_position)metres;
 }
 
 static inline sgms_position sgms_position_difference(sgms_position a, sgms_position b)
