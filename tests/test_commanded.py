@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cli_cases import refused
 from sgms_mhe.api.exporting import export
 from sgms_mhe.api.identification import identify_commanded
 from sgms_mhe.api.inputs import read_log
 from sgms_mhe.configuration import carry_load, load_machine, make_machine, override_machine
+from sgms_mhe.identification.writing import machine_toml
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -162,6 +164,28 @@ def test_runs_and_columns_of_commands_are_read(tmp_path: Path, servo: Machine) -
     again = read_log(tmp_path / "log.csv", servo, note=lambda _: None)
     assert again.is_commanded and again.goal_m is not None
     assert np.array_equal(again.goal_m, read.goal_m)
+
+
+def test_one_run_leaves_its_numbers_open(servo: Machine) -> None:
+    found = identify_commanded([record(servo, 0)], "one")
+    sure = {said["about"]: said["sure"] for said in found.to_json()["statements"]}
+    assert sure["inertia"] == "no" and sure["drive.delay"] == "yes"
+    assert "the record does not determine it" in found.toml
+    assert {number["identified"] for number in found.to_json()["numbers"]} == {True, False}
+
+
+def test_what_only_a_force_has_is_refused(servo: Machine, tmp_path: Path) -> None:
+    log, machine = tmp_path / "log.csv", tmp_path / "servo.toml"
+    write_log(log, record(servo, 0))
+    machine.write_text(machine_toml(servo.plant.units, servo.content, (), ()), encoding="utf-8")
+    for words, said in (
+        (("identify", log, "--like", machine, "--out", tmp_path / "a.toml", "--elements", "2"), "elements"),
+        (("identify", log, "--like", machine, "--out", tmp_path / "a.toml", "--trace", tmp_path / "t"), "trace"),
+        (("diagnose", machine, log, "--out", tmp_path / "d"), "torque_Nm"),
+        (("estimate", machine, log, "--out", tmp_path / "e.csv"), "torque_Nm"),
+        (("predict", machine, log, "--out", tmp_path / "p.csv"), "--free-run"),
+    ):
+        assert said in refused(*words)
 
 
 @pytest.mark.slow

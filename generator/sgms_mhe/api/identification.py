@@ -87,7 +87,7 @@ def identify_commanded(
     _check_driven(logs, commanded=True)
     for option, value in other.items():
         if value not in (None, "force", "motion"):
-            raise InputError("identify", option, value, "no such number where no force was recorded")
+            raise InputError("identify", option, str(value), "none: no log has a force to fit it to")
     return read_only(_identify_commanded(logs, name, like))
 
 

@@ -12,11 +12,11 @@ from typing import Any, Final, Protocol, cast
 
 from sgms_mhe.configuration import load_machine, override_log
 from sgms_mhe.logfiles.frames import FRAME, Frame, read_frame
-from sgms_mhe.logfiles.plausibility import check_plausible
+from sgms_mhe.logfiles.plausibility import check_has_force, check_plausible
 from sgms_mhe.logfiles.reading import check_kind, log_of, understand, understand_table
 from sgms_mhe.machine import Machine, log_mapping
 from sgms_mhe.signals.logs import Log, check_rate
-from sgms_mhe.support.errors import InputError, LogWarning
+from sgms_mhe.support.errors import LogWarning
 from sgms_mhe.support.notebooks import read_only
 
 LogSource = str | Path | Log | Frame | Mapping[str, Any]
@@ -133,9 +133,6 @@ def recorded_log(log: LogSource, machine: Machine, *, commanded: bool = False, n
     found = read_log(log, machine, note=note)
     if found.is_commanded and commanded:
         return found
-    if found.is_commanded:
-        push = found.units.named("force_N")
-        allowed = f"{push}, which [log] (machine file, --log) maps; of a command alone predict and identify make use"
-        raise InputError(found.source or "log", f"column {push}", None, allowed)
+    check_has_force(found)
     check_plausible(found, machine)
     return found

@@ -65,10 +65,11 @@ def command(
 
     from sgms_mhe.api.inputs import read_log
     from sgms_mhe.diagnosis import diagnose, write_diagnosis
-    from sgms_mhe.logfiles.plausibility import check_plausible
+    from sgms_mhe.logfiles.plausibility import check_has_force, check_plausible
     from sgms_mhe.report import attempt_report, closed_loop_gain
 
     recorded = read_log(log[0], machine, start_s=start_s, end_s=end_s, note=common.note)
+    check_has_force(recorded)
     try:
         check_plausible(recorded, machine)
     except ImplausibleError as error:

@@ -61,8 +61,9 @@ def command(
 
     model = load_for_log(like, log_table) if like is not None else None
     read = read_logs(log, model, table=log_table, note=common.note)
+    count = None if elements == "auto" else int(elements)
     if any(record.is_commanded for record in read):
-        axis = identify_commanded(read, out.stem, like=model, **options)
+        axis = identify_commanded(read, out.stem, like=model, elements=count, trace=trace, **options)
         write_text(out, axis.toml)
         rows = [[axis.machine.plant.units.named(n.name), n.interval, n.note] for n in axis.numbers]
         table = common.table_text(["number", "value +- 2 sigma", ""], rows)
@@ -73,7 +74,7 @@ def command(
         found = identify(
             read,
             out.stem,
-            elements=None if elements == "auto" else int(elements),
+            elements=count,
             like=model,
             table=log_table,
             note=common.note,

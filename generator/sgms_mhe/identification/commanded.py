@@ -26,7 +26,7 @@ from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.json_values import finite
 from sgms_mhe.support.notebooks import Presentation, Shown
-from sgms_mhe.support.numbers import round_number
+from sgms_mhe.support.numbers import SIGMAS, round_number
 from sgms_mhe.support.parallel import run_parallel
 from sgms_mhe.support.statements import Rule
 
@@ -278,15 +278,18 @@ class _FreeRuns:
         return np.asarray(self.unit * np.sqrt(np.sum(spread**2, axis=0) * runs / max(runs - 1, 1)))
 
 
+def _state(name: str, value: float, std: float, is_at_limit: bool) -> Number:
+    if is_at_limit:
+        return Number(name, value, math.nan, Rule.AT_LIMIT)
+    return Number(name, value, std, Rule.DETERMINED if SIGMAS * std < abs(value) else Rule.VAGUE)
+
+
 def _write(problem: _FreeRuns, found: Any, name: str) -> CommandedAxis:
     """Return the machine with what was found, and its errors as `predict` has them."""
     machine, units = problem.machine, problem.machine.plant.units
     at_limit = np.minimum(found.x - problem.bounds[0], problem.bounds[1] - found.x) < DIFFERENCE
     rows = zip(problem.names, found.x * problem.unit, problem.spread(found), at_limit, strict=True)
-    numbers = tuple(
-        Number(n, float(value), *((math.nan, Rule.AT_LIMIT) if edge else (float(std), Rule.DETERMINED)))
-        for n, value, std, edge in rows
-    )
+    numbers = tuple(_state(n, float(value), float(std), edge) for n, value, std, edge in rows)
     value = {n.name: round_number(n.value, n.std) for n in numbers}
     content = {**machine.content, "plant": {**machine.content["plant"], **plant_content(units.kind, value["mass"])}}
     if RADIUS in value:

@@ -133,10 +133,11 @@ def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
 
 def _entries(units: Units, numbers: Sequence[Number], owner: str = "") -> list[str]:
     """Return a comment on the entries of lists: of the elements, or of an effect."""
+    lists = [parameter for parameter in effect_definition(owner).parameters if parameter.array] if owner else []
     said = []
     for number in numbers:
-        effect, _, key = number.name.rpartition(".")
-        listed = [p for p in effect_definition(effect).parameters if p.array and p.holds(key)] if effect else []
-        if effect == owner and (listed or (not effect and key.startswith(ELEMENTS))):
+        name, _, key = number.name.rpartition(".")
+        is_entry = any(parameter.holds(key) for parameter in lists) if owner else key.startswith(ELEMENTS)
+        if name == owner and is_entry:
             said.append(number.state(units).sentence)
     return wrap_comment(", ".join(said)) if said else []

@@ -84,6 +84,14 @@ def check_plausible(log: Log, machine: Machine | None, *, has_mass: bool = True)
         _check_force(log, known, motion)
 
 
+def check_has_force(log: Log) -> None:
+    """Refuse a log of commands alone."""
+    if log.is_commanded:
+        push = log.units.named("force_N")
+        allowed = f"{push}, which [log] (machine file, --log) maps; of a command alone predict and identify make use"
+        raise _refusal(log, f"column {push}", None, allowed)
+
+
 def _units(log: Log, name: str) -> Mapping[str, tuple[float, float]]:
     """Units in which a column may be, with their factors; the column by its name on a linear axis."""
     own = log.units.named(name)
