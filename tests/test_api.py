@@ -280,7 +280,7 @@ def test_a_diagnosis_is_looked_at(small: Path) -> None:
     assert set(frame["cause"]) == {cause.name for cause in found.causes}
     assert found.verdict in found._repr_html_() and found.causes[0].name in found._repr_html_()
     assert repr(found).startswith("<Diagnosis explained") and len(repr(found)) < 400
-    assert "value +- 2 sigma" in found._repr_html_() and "+- " in found._repr_html_().partition("<tbody>")[2]
+    assert "statement (+-: 2 sigma)" in found._repr_html_() and "+- " in found._repr_html_().partition("<tbody>")[2]
     axes = found.plot()
     assert [line.get_label() for line in axes.lines] == ["before", "after"]
     plt.close(axes.figure)

@@ -258,7 +258,7 @@ def test_a_number_that_is_0_is_not_the_scale_of_its_estimate(
     path = tmp_path / "results" / "extended.toml"
     path.parent.mkdir()
     for alone in (False, True):
-        text = extension_toml(machine, extended, changes, path.parent, alone)
+        text = extension_toml(machine, extended, changes, path.parent, (), alone=alone)
         assert ("extends = " in text) is not alone
         path.write_text(text)
         assert load_machine(path).digest == extended.digest

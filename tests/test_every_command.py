@@ -48,7 +48,7 @@ def write_extended(folder: Path, kind: Kind, law: str, names: list[str], *, alon
     base = load_machine(write_base(folder, kind, law))
     extended, changes = extend_machine(base, names, {}, [{"name": name, **SIZES[name]} for name in names])
     path = folder / f"{extended.name}.toml"
-    path.write_text(extension_toml(base, extended, changes, folder, alone))
+    path.write_text(extension_toml(base, extended, changes, folder, (), alone=alone))
     return path
 
 

@@ -1236,7 +1236,7 @@ static int update(etel_xy_t *self)
     self->estimate.update++;
     self->calls.age = 0;
 
-    status += self->interval.valid > 0.0 ? 0 : ETEL_XY_MISSING;
+    status += self->interval.valid < 1.0 ? ETEL_XY_MISSING : 0;
     status += moves ? 0 : ETEL_XY_HOLD;
     status += self->interval.too_fast ? ETEL_XY_SPEED : 0;
     status += self->interval.lost || !is_counted ? ETEL_XY_OVERRUN : 0;
@@ -1525,7 +1525,7 @@ const char *etel_xy_status_text(int status)
         return "measurements contradict the model: they count less";
     }
     if ((status & ETEL_XY_MISSING) != 0) {
-        return "the newest measurement was left out";
+        return "the newest measurement is missing, or bridged";
     }
     if ((status & ETEL_XY_BOUND) != 0) {
         return "a parameter is at its bound";

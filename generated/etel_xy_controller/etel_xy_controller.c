@@ -1244,7 +1244,7 @@ static int update(etel_xy_controller_t *self)
     self->estimate.update++;
     self->calls.age = 0;
 
-    status += self->interval.valid > 0.0f ? 0 : ETEL_XY_CONTROLLER_MISSING;
+    status += self->interval.valid < 1.0f ? ETEL_XY_CONTROLLER_MISSING : 0;
     status += moves ? 0 : ETEL_XY_CONTROLLER_HOLD;
     status += self->interval.too_fast ? ETEL_XY_CONTROLLER_SPEED : 0;
     status += self->interval.lost || !is_counted ? ETEL_XY_CONTROLLER_OVERRUN : 0;
@@ -1553,7 +1553,7 @@ const char *etel_xy_controller_status_text(int status)
         return "measurements contradict the model: they count less";
     }
     if ((status & ETEL_XY_CONTROLLER_MISSING) != 0) {
-        return "the newest measurement was left out";
+        return "the newest measurement is missing, or bridged";
     }
     if ((status & ETEL_XY_CONTROLLER_BOUND) != 0) {
         return "a parameter is at its bound";

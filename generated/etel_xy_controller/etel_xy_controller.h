@@ -50,7 +50,7 @@
  *   by a semaphore that is given after feedback() has returned, and feedback() after prepare() has
  *   begun.
  *
- * When sensors fail: a measurement that is missing or not finite is left out (MISSING).
+ * When sensors fail: a measurement that is missing or not finite is bridged or left out (MISSING).
  * Measurements that contradict their predictions count less, with status DOUBT; learned parameters
  * stay. The force fed forward is never beyond 48.96 N. A fault from the first sample on (a sign, a
  * gain, a unit) is not recognised here.
@@ -97,7 +97,7 @@ typedef struct {
 enum {
     ETEL_XY_CONTROLLER_OK = 0,
     ETEL_XY_CONTROLLER_FILLING = 1,  /* the window is not full yet */
-    ETEL_XY_CONTROLLER_MISSING = 2,  /* the newest measurement was left out */
+    ETEL_XY_CONTROLLER_MISSING = 2,  /* the newest measurement is missing, or bridged */
     ETEL_XY_CONTROLLER_HOLD = 4,     /* the axis hardly moved: parameters hold */
     ETEL_XY_CONTROLLER_BOUND = 8,    /* a parameter is at its bound */
     ETEL_XY_CONTROLLER_SPEED = 16,   /* faster than max_velocity, 1.0 m/s */

@@ -135,7 +135,9 @@ FAULTS: Final = (
         "        estimate->status = (int)self->estimate.status;\n",
         "        estimate->status = 0;\n",
     ),
-    Fault("status of a missing measurement left out", C, "status += self->interval.is_valid ? 0 : NAME_MISSING;", ";"),
+    Fault(
+        "status of a missing measurement left out", C, "status += self->interval.valid < 1.0 ? NAME_MISSING : 0;", ";"
+    ),
     Fault(
         "status of a bound left out", C, "solve_theta(self, theta) > 0 ? NAME_BOUND : 0", "solve_theta(self, theta) * 0"
     ),
@@ -201,7 +203,12 @@ FAULTS: Final = (
     Fault("damaged means of lasting errors kept", C, "if (sum_of_lasting(self) != self->lasting.sum) {", "if (0) {"),
     Fault("interval of too few samples not told", C, "self->interval.lost || !is_counted ?", "self->interval.lost ?"),
     Fault("delay of signals not checked", C, "const bool good = is_timely && sgms", "const bool good = sgms"),
-    Fault("invalid friction taken", C, "good && signals->valid && sgms_is_reading", "good && sgms_is_reading"),
+    Fault(
+        "invalid friction taken",
+        C,
+        "signals->valid > 0.0 && sgms_is_reading(signals->friction)\n        ? sgms_fmin(signals->valid, 1.0)",
+        "sgms_is_reading(signals->friction)\n        ? 1.0",
+    ),
     Fault("another header accepted", C, " || header != NAME_HEADER) {", ") {"),
     Fault("another size accepted", C, "if (size != sizeof(<name>_t) || header", "if (header"),
     Fault("calls of an axis that may not compute", C, "calls.mark == NAME_HEADER", "calls.mark != 0u"),

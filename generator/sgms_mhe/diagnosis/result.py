@@ -466,7 +466,7 @@ class Diagnosis(Shown):
 
     def _shown(self) -> Presentation:
         rows = [(s.kind, s.line, s.next or "") for s in self.said[1:]]
-        return f"{self.verdict}: {self.summary}", ("kind", "statement", "next"), rows
+        return f"{self.verdict}: {self.summary}", ("kind", "statement (+-: 2 sigma)", "next"), rows
 
     def to_json(self) -> dict[str, Any]:
         """Content of diagnosis.json; what is not finite becomes null."""

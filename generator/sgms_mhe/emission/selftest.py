@@ -13,7 +13,7 @@ from sgms_mhe.emission.selftest_motion import CountedMotion, selftest_motion
 from sgms_mhe.emission.variant import variant_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
-from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, UpdateStatus, Weights, run_ekf, run_mhe
+from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, Weights, run_ekf, run_mhe
 from sgms_mhe.signals.chain import (
     Bridge,
     Signals,
@@ -142,8 +142,8 @@ def selftest_vectors(model: Model) -> Vectors:
         velocity=_velocity_beyond_limit(model),
         set_velocity=ahead[0],
         set_acceleration=ahead[1],
-        first=_rounded(first[0], tick),
-        second=_rounded(second[0], sample, insert),
+        first=_rounded(*first, tick),
+        second=_rounded(*second, sample, insert),
     )
 
 
@@ -198,9 +198,9 @@ def _run(
     return solve(record), record
 
 
-def _rounded(found: Estimates, *forces: Array) -> ReferenceRun:
+def _rounded(found: Estimates, record: NodeRecord, *forces: Array) -> ReferenceRun:
     measured = np.array(found.friction_measured_N)
-    for k in np.flatnonzero(found.status & UpdateStatus.MISSING):
+    for k in np.flatnonzero(~record.valid[1:]):
         measured[k] = measured[k - 1] if k > 0 else 0.0
     readings = found.innovation_N, found.test_ratio, found.noise_scale
     numbers = np.column_stack([found.friction_N, measured, *readings, found.z_m, found.parameters, found.std])

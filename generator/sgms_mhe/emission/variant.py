@@ -110,7 +110,7 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
     said = {
         "filling": ("the window is not full yet", "Nothing: it is over by itself."),
         "missing": (
-            "the newest measurement was left out",
+            "the newest measurement is missing, or bridged",
             "Nothing for single ones. Many: check encoder, drive and what the fast task hands over.",
         ),
         "hold": ("the axis hardly moved: parameters hold", "Nothing: friction goes on, parameters wait for motion."),

@@ -222,7 +222,8 @@ class NodeRecord:
 
     def status(self, node: int) -> int:
         """Return the status of the update at a node, from the newest interval and measurement."""
-        status = 0 if self.valid[node] else int(UpdateStatus.MISSING)
+        is_whole = self.valid[node] and self.noise[node] == 1.0
+        status = 0 if is_whole else int(UpdateStatus.MISSING)
         if not self.moves(node - 1):
             status |= UpdateStatus.HOLD
         if self.plan.fastest[node - 1] > self.weights.max_velocity:

@@ -44,7 +44,7 @@ def fill_force(log: Log, machine: Machine) -> Log:
     Raises:
         InputError: nothing says what the command does.
     """
-    if not log.is_commanded:
+    if np.isfinite(log.force_N).any():
         return log
     drive, units, command = machine.drive, log.units, command_of(log, machine)
     if command is None or drive.torque_constant is None or drive.resistance is None:

@@ -75,8 +75,9 @@ class Log(Shown):
 
     @property
     def is_commanded(self) -> bool:
-        """Return True if no force was recorded: what drives the axis is a command."""
-        return bool(np.isnan(self.force_N).all())
+        """Return True if no force was recorded but a command: it is what drives the axis."""
+        has_command = any(values is not None for values in (self.goal_m, self.voltage_V, self.duty))
+        return has_command and bool(np.isnan(self.force_N).all())
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame of the columns that are present, named as in a log file of this kind of axis."""

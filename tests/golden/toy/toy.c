@@ -939,7 +939,7 @@ static int update(toy_t *self)
     self->estimate.update++;
     self->calls.age = 0;
 
-    status += self->interval.valid > 0.0 ? 0 : TOY_MISSING;
+    status += self->interval.valid < 1.0 ? TOY_MISSING : 0;
     status += moves ? 0 : TOY_HOLD;
     status += self->interval.too_fast ? TOY_SPEED : 0;
     status += self->interval.lost || !is_counted ? TOY_OVERRUN : 0;
@@ -1225,7 +1225,7 @@ const char *toy_status_text(int status)
         return "measurements contradict the model: they count less";
     }
     if ((status & TOY_MISSING) != 0) {
-        return "the newest measurement was left out";
+        return "the newest measurement is missing, or bridged";
     }
     if ((status & TOY_BOUND) != 0) {
         return "a parameter is at its bound";

@@ -47,7 +47,7 @@
  *   by a semaphore that is given after feedback() has returned, and feedback() after prepare() has
  *   begun.
  *
- * When sensors fail: a measurement that is missing or not finite is left out (MISSING).
+ * When sensors fail: a measurement that is missing or not finite is bridged or left out (MISSING).
  * Measurements that contradict their predictions count less, with status DOUBT; learned parameters
  * stay. The force fed forward has no limit: [compensation] limit. A fault from the first sample on
  * (a sign, a gain, a unit) is not recognised here.
@@ -92,7 +92,7 @@ typedef struct {
 enum {
     TOY_OK = 0,
     TOY_FILLING = 1,  /* the window is not full yet */
-    TOY_MISSING = 2,  /* the newest measurement was left out */
+    TOY_MISSING = 2,  /* the newest measurement is missing, or bridged */
     TOY_HOLD = 4,     /* the axis hardly moved: parameters hold */
     TOY_BOUND = 8,    /* a parameter is at its bound */
     TOY_SPEED = 16,   /* faster than max_velocity, 0.5 m/s */
