@@ -74,11 +74,15 @@ static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d
     return sgms_position_is_good(next) ? next : p;
 }
 
-/* Of a move, rounded; 0 of what is none. */
+/* Of a move of less than 100 m, rounded; 0 of another. In two parts of 32 bits: compilers make 64
+ * bits of a float in double precision. */
 static inline sgms_position sgms_position_from(sgms_real metres)
 {
-    const sgms_real half = metres < SGMS_R(0.0) ? SGMS_R(-0.5) : SGMS_R(0.5);
-    return sgms_fabs(metres) < SGMS_FARTHEST ? (sgms_position)(metres * SGMS_R(1e12) + half) : 0;
+    const sgms_real steps = sgms_fabs(metres) < SGMS_R(100.0) ? metres * SGMS_R(1e12) : SGMS_R(0.0);
+    const int32_t high = (int32_t)(steps / SGMS_R(65536.0));
+    const sgms_real half = steps < SGMS_R(0.0) ? SGMS_R(-0.5) : SGMS_R(0.5);
+    const int32_t low = (int32_t)(steps - (sgms_real)high * SGMS_R(65536.0) + half);
+    return (sgms_position)high * 65536 + low;
 }
 
 static inline sgms_position sgms_position_difference(sgms_position a, sgms_position b)
