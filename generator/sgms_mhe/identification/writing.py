@@ -132,12 +132,20 @@ def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
 
 
 def _entries(units: Units, numbers: Sequence[Number], owner: str = "") -> list[str]:
-    """Return a comment on the entries of lists: of the elements, or of an effect."""
+    """Return a comment on the entries of each list: of the elements, or of an effect."""
     lists = [parameter for parameter in effect_definition(owner).parameters if parameter.array] if owner else []
-    said = []
-    for number in numbers:
-        name, _, key = number.name.rpartition(".")
-        is_entry = any(parameter.holds(key) for parameter in lists) if owner else key.startswith(ELEMENTS)
-        if name == owner and is_entry:
-            said.append(number.state(units).sentence)
-    return wrap_comment(", ".join(said)) if said else []
+    entries = {units.named(one.name): [n for n in numbers if one.holds(_key(n, owner))] for one in lists}
+    if not owner:
+        entries = {name.rstrip("_"): [n for n in numbers if n.name.startswith(name)] for name in ELEMENTS}
+    lines = []
+    for name, found in entries.items():
+        if any(math.isfinite(number.std) or number.note for number in found):
+            said = [number.interval + (f" ({number.note})" if number.note else "") for number in found]
+            lines += wrap_comment(f"{name}: {', '.join(said)}")
+    return lines
+
+
+def _key(number: Number, effect: str) -> str:
+    """Return the parameter of an effect that a number is; empty where it is none."""
+    name, _, key = number.name.rpartition(".")
+    return key if name == effect else ""
