@@ -74,15 +74,15 @@ static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d
     return sgms_position_is_good(next) ? next : p;
 }
 
-/* Of a move of less than 100 m, rounded; 0 of another. In two parts of 32 bits: compilers make 64
- * bits of a float in double precision. */
+/* Of a move of at most 140 m, rounded; 0 of what is no number. In two parts of 32 bits: compilers
+ * make 64 bits of a float in double precision. */
 static inline sgms_position sgms_position_from(sgms_real metres)
 {
-    const sgms_real steps = sgms_fabs(metres) < SGMS_R(100.0) ? metres * SGMS_R(1e12) : SGMS_R(0.0);
-    const int32_t high = (int32_t)(steps / SGMS_R(65536.0));
-    const sgms_real half = steps < SGMS_R(0.0) ? SGMS_R(-0.5) : SGMS_R(0.5);
-    const int32_t low = (int32_t)(steps - (sgms_real)high * SGMS_R(65536.0) + half);
-    return (sgms_position)high * 65536 + low;
+    const sgms_real size = sgms_fabs(metres) * SGMS_R(1e12);
+    const int high = sgms_index(size / SGMS_R(65536.0), INT32_MAX);
+    const int low = sgms_index(size - (sgms_real)high * SGMS_R(65536.0) + SGMS_R(0.5), 65536);
+    const sgms_position found = (sgms_position)high * 65536 + low;
+    return metres < SGMS_R(0.0) ? -found : found;
 }
 
 static inline sgms_position sgms_position_difference(sgms_position a, sgms_position b)
@@ -246,7 +246,9 @@ static SGMS_COLD sgms_real sgms_filter_disturbed(
     }
     if (!force_good) {
         *force = m->last[0];
-        m->counts[3] += m->counts[3] <= chain->settle ? 1 : 0;
+        if (m->counts[3] <= chain->settle) {
+            m->counts[3]++;
+        }
     } else {
         const sgms_real before = m->last[0];
         m->last[0] = *force;

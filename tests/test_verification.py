@@ -121,7 +121,7 @@ def test_bit_that_moves_an_index_is_found(
     good, bad = "return sgms_place(self->interval.filling, SLOTS - 1);", "return (int)self->interval.filling;"
     wrong = broken(package, ".c", good, bad)
     monkeypatch.setattr(upsets, "emit_package", lambda *_, **__: wrong)
-    outcome = check_upsets([package.machine], 3000, 3)
+    outcome = check_upsets([package.machine], 3000, 11)
     assert len(outcome.failures) == 1 and ("out of bounds" in outcome.failures[0] or "Sanitizer" in outcome.failures[0])
 
 
