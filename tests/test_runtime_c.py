@@ -660,7 +660,7 @@ def test_positions_at_the_ends_of_their_range_overflow_nothing(
 
 
 def test_motion_does_not_continue_out_of_the_range() -> None:
-    """What is missing is continued up to 4e6 m in single precision; the speed is what it would be."""
+    """Missing positions go on up to 4e6 m in single precision, at the speed that they would have."""
     q = np.concatenate([[3.9999e6, 3.99995e6], np.full(100, np.nan)])
     log = Log(np.arange(len(q)) / 1e4, q, np.zeros(len(q)), rate=1e4)
     single, double = chain(log, machine(), "single"), chain(log, machine(), "double")

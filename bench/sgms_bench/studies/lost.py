@@ -59,7 +59,7 @@ def _lose(starts: Callable[[int, np.random.Generator], NDArray[np.int64]], lengt
     return spoil
 
 
-def _at_random(share: float) -> Spoil:
+def _lose_samples(share: float) -> Spoil:
     return _lose(lambda count, rng: np.flatnonzero(rng.random(count) < share), 1)
 
 
@@ -81,12 +81,12 @@ def _sample_at(times: Callable[[Array, np.random.Generator], Array]) -> Spoil:
 
 CASES: Final[Mapping[str, Spoil]] = {
     "none": lambda log, _: log,
-    **{f"{share:.0%} at random": _at_random(share) for share in (0.05, 0.1, 0.2, 0.3)},
+    **{f"{share:.0%} at random": _lose_samples(share) for share in (0.05, 0.1, 0.2, 0.3)},
     **{f"bursts of {length}": _bursts(length) for length in (2, 5, 10, 20)},
     "stamps off by 10 % of a period": _sample_at(lambda at, rng: at + 0.1 * rng.standard_normal(len(at))),
     "clock 0.1 % slow": _sample_at(lambda at, _: 0.999 * at),
 }
-"""What happens to whole logs; bursts begin once in a hundred samples, anywhere."""
+"""Changes of whole logs by their names; bursts begin once in a hundred samples, anywhere."""
 
 
 @cache

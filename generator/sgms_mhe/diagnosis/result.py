@@ -280,7 +280,7 @@ class Diagnosis(Shown):
 
     @property
     def separating_experiment(self) -> str | None:
-        """What to do next, None if nothing."""
+        """Return the next thing to do, None if there is none."""
         moves = [f"{s.about}: {s.next}" if s.kind == "choice" else s.next for s in self.statements if s.next]
         return ". ".join(moves) or None
 

@@ -142,8 +142,8 @@ def selftest_vectors(model: Model) -> Vectors:
         velocity=_velocity_beyond_limit(model),
         set_velocity=ahead[0],
         set_acceleration=ahead[1],
-        first=_rounded(*first, tick),
-        second=_rounded(*second, sample, insert),
+        first=_round_run(*first, tick),
+        second=_round_run(*second, sample, insert),
     )
 
 
@@ -198,7 +198,7 @@ def _run(
     return solve(record), record
 
 
-def _rounded(found: Estimates, record: NodeRecord, *forces: Array) -> ReferenceRun:
+def _round_run(found: Estimates, record: NodeRecord, *forces: Array) -> ReferenceRun:
     measured = np.array(found.friction_measured_N)
     for k in np.flatnonzero(~record.valid[1:]):
         measured[k] = measured[k - 1] if k > 0 else 0.0

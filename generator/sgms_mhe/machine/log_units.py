@@ -14,7 +14,7 @@ from typing import Final, Literal, get_args
 from sgms_mhe.machine.units import Kind
 
 Command = Literal["goal", "voltage", "duty", "enabled"]
-"""What a drive is told: the goal of its position loop, its voltage or its share of the supply, and if it is on."""
+"""Commands of a drive: goal of its position loop, voltage or share of the supply, and if it is on."""
 Role = Literal["time", "position", "force", "velocity", "acceleration", "friction", "temperature"] | Command
 """What a quantity is on either kind of axis; the force of a rotary one is its torque."""
 

@@ -124,7 +124,7 @@ class Chain:
     def take(self, log: Log) -> Signals:
         """Return the signals of the samples that follow; of the same columns throughout."""
         rate = self._machine.sampling.rate
-        log = _within_limits(log)
+        log = _drop_far(log)
         missing = _missing(log)
         position, delayed_position, difference, force, error = self._bridge.take(log.position_m, log.force_N)
         since = self._samples_since(missing)
@@ -162,7 +162,7 @@ class Chain:
 
     def _hold(self, name: str, signal: Array, before: float | None = None) -> Array:
         """Hold the last finite value; `before` the first one, or that one itself."""
-        held = _hold(signal, self._held.get(name, before))
+        held = hold_last(signal, self._held.get(name, before))
         self._held[name] = float(held[-1])
         return held
 
@@ -249,7 +249,7 @@ def readings(log: Log) -> Log:
 
     A controller knows less: it meets a position that jumped away before those that come back.
     """
-    log = _within_limits(log)
+    log = _drop_far(log)
     spoilt: dict[str, Any] = {
         name: np.where(jumped, np.nan, log.columns[name]) for name, jumped in find_lost(log).items() if jumped.any()
     }
@@ -265,7 +265,7 @@ def find_lost(log: Log) -> dict[str, Mask]:
     return {name: find_jumps(log.columns[name], samples) for name, samples in longest.items()}
 
 
-def _within_limits(log: Log) -> Log:
+def _drop_far(log: Log) -> Log:
     """The log with NaN for what is not finite, or too large for the chain."""
     spoilt: dict[str, Any] = {}
     for name, channel in _channels(log).items():
@@ -366,7 +366,7 @@ def _samples_since(mask: Mask) -> Index:
     return np.where(last < 0, _NEVER, index - last)
 
 
-def _hold(signal: Array, before: float | None = None) -> Array:
+def hold_last(signal: Array, before: float | None = None) -> Array:
     """Hold the last finite value over missing samples; `before` the first one, or that one itself."""
     good = np.isfinite(signal)
     if good.all():
@@ -405,7 +405,7 @@ class Bridge:
             self._position, self._force = _first(position), _first(force)
         disturbed = max(self._settle - self._since, int(missing[-1]) + 1 + self._settle if len(missing) else 0)
         count = min(len(position), disturbed) if self._step == 0.0 else len(position)
-        rows = self._disturbed(position[:count].tolist(), force[:count].tolist())
+        rows = self._bridge_samples(position[:count].tolist(), force[:count].tolist())
         rest = position[count:]
         if not len(rest):
             return rows
@@ -418,7 +418,7 @@ class Bridge:
         undisturbed = np.stack((rest, earlier, rest - earlier, force[count:], np.zeros(len(rest))))
         return np.concatenate((rows, undisturbed), axis=1)
 
-    def _disturbed(self, position: list[float], force: list[float]) -> Array:
+    def _bridge_samples(self, position: list[float], force: list[float]) -> Array:
         """`take` sample by sample, as rows (5, n)."""
         (b0, b1, b2, a1, a2), (z0, z1) = self._coefficients, self._filter.tolist()
         settle, step, fading = self._settle, self._step, bridge_fading(self._settle)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
+from sgms_mhe.signals.chain import hold_last
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -19,7 +20,7 @@ def command_of(log: Log, machine: Machine) -> Array | None:
     name = next((name for name in machine.drive.columns if getattr(log, name) is not None), None)
     if name is None:
         return None
-    values = _hold(getattr(log, name))
+    values = np.ascontiguousarray(hold_last(getattr(log, name)))
     if name == "duty":
         if machine.drive.supply is None:
             raise InputError(log.source or "log", "duty", None, "[drive] supply [V], of which a duty is a share")
@@ -29,13 +30,7 @@ def command_of(log: Log, machine: Machine) -> Array | None:
 
 def switched_on(log: Log) -> Array | None:
     """Return (n) which says by numbers above 0.5 that a drive is on; None: always."""
-    return None if log.enabled is None else _hold(log.enabled)
-
-
-def _hold(values: Array) -> Array:
-    """Return values (n) with the one before where one is missing."""
-    good = np.flatnonzero(np.isfinite(values))
-    return np.ascontiguousarray(values[good[np.maximum(np.searchsorted(good, np.arange(len(values)), "right") - 1, 0)]])
+    return None if log.enabled is None else np.ascontiguousarray(hold_last(log.enabled))
 
 
 def fill_force(log: Log, machine: Machine) -> Log:
