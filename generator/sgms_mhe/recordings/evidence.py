@@ -47,8 +47,8 @@ COHERENT_ROWS: Final = 16
 """Stretch that a model's own error keeps its sign over, for intervals [rows]: a reversal."""
 SMOOTH_SHARE: Final = 0.15  # of a frequency, to either side: its power is the mean of these
 SMOOTH_LEAST: Final = 4  # half frequencies, of a record's length: the slowest few are one
-CELLS: Final = (4, 4, 3)
-"""Parts of places, speeds and accelerations, as many rows in each [1]."""
+CELLS: Final = (6, 8)
+"""Parts of places and of speeds, as many rows in each [1]: by noisy accelerations errors would be sorted."""
 UNSEEN_ERROR: Final = 0.15
 """RMS that a model may get wrong beyond what is seen, for intervals [noise floor]: a floor that is right to 1 % hides
 as much."""
@@ -331,13 +331,13 @@ def add_missing(covariance: Array, least: Array) -> Array:
 
 
 def motion_covariance(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
-    """Covariance (p, p) from what numbers move by without the rows of one place, speed and acceleration (jackknife).
+    """Covariance (p, p) from what numbers move by without the rows of one place and speed (jackknife).
 
     What a model gets wrong belongs to the motion and comes again with it: blocks of time hold all of it alike, and no
     length of a record averages it out. Arguments are those of `jackknife_covariance`.
     """
     cell, used = np.zeros(len(residual), dtype=np.int64), recording.used
-    for series, parts in zip((recording.position, recording.velocity, recording.acceleration), CELLS, strict=True):
+    for series, parts in zip((recording.position, recording.velocity), CELLS, strict=True):
         edges = np.quantile(series[used], np.arange(1, parts) / parts)
         cell = cell * parts + np.searchsorted(edges, series)
     order = np.argsort(cell, kind="stable")
