@@ -14,7 +14,7 @@ from c_packages import PRECISIONS, STRICT, build, package_of, run, symbols, writ
 from sgms_bench.target.firmware import double_arithmetic
 from sgms_bench.target.stacks import call_paths
 from sgms_bench.verification.faults import FAULTS
-from sgms_mhe.configuration import load_machine
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package, write_package
 from sgms_mhe.evaluation.acceptance import build_selftest
 from sgms_mhe.host.targets import TARGETS, Target, emulate
@@ -198,6 +198,15 @@ CORES = [
     pytest.param(TARGETS["cortex_m7"], marks=pytest.mark.needs_arm, id="cortex_m7"),
     pytest.param(TARGETS["riscv32"], marks=pytest.mark.needs_riscv, id="riscv32"),
 ]
+
+
+@pytest.mark.slow
+def test_returns_0_where_a_share_grows_as_fast_as_it_fades(require_tool: Tool, tmp_path: Path) -> None:
+    """A share that was still growing at the damage is what it was before it, one sample later."""
+    changes = {"name": "etel_xy", "estimator": {"relinearise": "all"}, "code": {"tick_budget": 1e6}}
+    machine = override_machine(load_machine("etel_xy_compensation"), changes)
+    folder = written(emit_package(machine), tmp_path)
+    assert answer(require_tool("gcc"), folder, tmp_path, "-O1") == 0
 
 
 def test_returns_0_for_an_axis_of_known_colour(require_tool: Tool, tmp_path: Path) -> None:
