@@ -1094,8 +1094,8 @@ static int survives_damage(etel_xy_t *axis, motion *m, int way)
     axis->parameters.theta[0] = not_a_number();
     spoil_means(axis);
     good = go_along(axis, way, m, 1, &force) && good;
+    share = sgms_fmax(share, etel_xy_share(axis)); /* it grows, or fades already */
     if (way != BY_TICK) {
-        share = etel_xy_share(axis);
         good = refuses_damaged_settings(axis) && etel_xy_feedback(axis) == ETEL_XY_NUMERIC && good;
     }
     etel_xy_estimate(axis, &after);

@@ -1084,8 +1084,8 @@ static int survives_damage(etel_xy_switching_t *axis, motion *m, int way)
     axis->parameters.theta[0] = not_a_number();
     spoil_means(axis);
     good = go_along(axis, way, m, 1, &force) && good;
+    share = sgms_fmax(share, etel_xy_switching_share(axis)); /* it grows, or fades already */
     if (way != BY_TICK) {
-        share = etel_xy_switching_share(axis);
         good = refuses_damaged_settings(axis) && etel_xy_switching_feedback(axis) ==
             ETEL_XY_SWITCHING_NUMERIC && good;
     }

@@ -1033,8 +1033,8 @@ static int survives_damage(toy_t *axis, motion *m, int way)
     axis->parameters.theta[0] = not_a_number();
     spoil_means(axis);
     good = go_along(axis, way, m, 1, &force) && good;
+    share = sgms_fmax(share, toy_share(axis)); /* it grows, or fades already */
     if (way != BY_TICK) {
-        share = toy_share(axis);
         good = refuses_damaged_settings(axis) && toy_feedback(axis) == TOY_NUMERIC && good;
     }
     toy_estimate(axis, &after);
