@@ -38,6 +38,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig, Controller
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, circle, make_trajectory
+from sgms_mhe.reference import UpdateStatus
 from sgms_mhe.signals.chain import chain_delay, settle_samples, signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -506,6 +507,21 @@ def test_lost_samples_ramp_to_zero_and_back(log: Log, drive: Callable[..., Drive
         if k == 839:
             assert c.c.probe_share(memory) == pytest.approx(1.0 - 39 / 200)
     assert c.c.probe_share(memory) == 1.0
+
+
+@pytest.mark.parametrize("on_doubt", ["keep", "ramp"])
+def test_doubt_leaves_the_force_on_or_ramps_it(on_doubt: str, log: Log, drive: Callable[..., Drive]) -> None:
+    """A force of 100 N that no friction explains: only where the machine file says so does the share fall."""
+    c = drive(compensation={"ramp": 0.02, "on_doubt": on_doubt})
+    memory, share, doubted = c.new(), np.empty(1200), np.zeros(1200, dtype=bool)
+    for k in range(1200):
+        c.c.probe_tick(memory, float(log.position_m[k]), float(log.force_N[k]) + 100.0 * (k >= 600))
+        share[k] = c.c.probe_share(memory)
+        doubted[k] = c.estimate(memory)[1] >= 0 and bool(c.estimate(memory)[1] & UpdateStatus.DOUBT)
+    late = np.flatnonzero(doubted)[1:]
+    assert share[599] == 1.0 and late[0] < 1000
+    steps = np.diff(share)[late - 1][share[late - 1] > 0.0]
+    assert np.all(share[late] == 1.0) if on_doubt == "keep" else np.all(steps < 0.0) and share[late].min() == 0.0
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import casadi as ca
 import numpy as np
@@ -13,7 +14,7 @@ from sgms_mhe.emission.selftest_motion import CountedMotion, selftest_motion
 from sgms_mhe.emission.variant import variant_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
-from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, Weights, run_ekf, run_mhe
+from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, UpdateStatus, Weights, run_ekf, run_mhe
 from sgms_mhe.signals.chain import (
     Bridge,
     Signals,
@@ -24,7 +25,7 @@ from sgms_mhe.signals.chain import (
     signals_from_log,
 )
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.support.arrays import Array
+from sgms_mhe.support.arrays import Array, Index
 
 _MOST_STEPS = 5000
 """Steps of the series that the reference integrates for the vectors, at most, in jumps of the flow."""
@@ -270,8 +271,17 @@ def _force_ahead(
     w[1] = at_end
     output = ca.Function("f", [model.chi, model.w, model.theta], [model.feed_forward]).map(record.updates)
     force = np.array(output(chi, w, theta)).reshape(record.updates)
-    force = force * np.minimum(1.0, (nodes + 1) * ahead.gain_step)
+    force = force * _ramp(machine, found.status, int(nodes[-1]) + 1)[nodes]
     return np.asarray(force if ahead.limit is None else np.clip(force, -ahead.limit, ahead.limit))
+
+
+def _ramp(machine: Machine, statuses: Index, count: int) -> Array:
+    """Share that is on after each of so many samples (count), from off on: in the runs DOUBT alone ramps it down."""
+    step, samples = compensation_of(machine).gain_step, machine.sampling.samples_per_update
+    falls = (np.append(0, statuses) & UpdateStatus.DOUBT) * (machine.compensation.on_doubt == "ramp")
+    changes = np.where(falls[np.maximum(np.arange(count) - 1, 0) // samples], -step, step)
+    shares = accumulate(changes, lambda share, change: min(1.0, max(0.0, share + change)), initial=0.0)
+    return np.array(list(shares)[1:])
 
 
 def _move_states(model: Model, chi: Array, w: Array, theta: Array, duration: float) -> Array:

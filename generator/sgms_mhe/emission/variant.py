@@ -129,7 +129,8 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
         "doubt": (
             "measurements contradict the model beyond their stated noise"
             + (": they count less" if variant.self_scaling else ""),
-            "Where it lasts: record a log and ask `sgms-mhe diagnose`; something on the axis is not in its model.",
+            "Where it lasts: record a log and ask `sgms-mhe diagnose`; something on the axis is not in its model."
+            + (" The force ramps to zero meanwhile." if machine.compensation.on_doubt == "ramp" else ""),
         ),
         "stale": (
             "of estimate(): no update for more than two intervals",

@@ -27,6 +27,9 @@ class Compensation(MachineTable):
         ge=0,
         le=10,
     )
+    on_doubt: Literal["keep", "ramp"] = text(
+        "the force while the status says DOUBT: stays, or ramps to zero until it does not", "keep or ramp", "keep"
+    )
     enabled: bool = text("on from init on; otherwise the compensate call turns it on", "true or false", True)
 
 
