@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis import (
@@ -19,8 +20,12 @@ from sgms_mhe.diagnosis import (
     Rms,
     Score,
     Traces,
+    verdict,
 )
 from sgms_mhe.diagnosis.extension import extend_machine
+from sgms_mhe.diagnosis.fits import fit_model
+from sgms_mhe.diagnosis.rivals import Selection
+from sgms_mhe.diagnosis.selection import Searched, search_causes
 from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
@@ -234,3 +239,14 @@ def motionless(machine: Machine) -> Diagnosis:
         structure_after=(),
         warnings=("no motion",),
     )
+
+
+def name_nothing(patch: pytest.MonkeyPatch) -> None:
+    """Let diagnoses try no effect and select no cause: what is judged is what comes after the search."""
+
+    def nothing(searched: Searched) -> Selection:
+        fit = fit_model(searched.laws.chosen, (), refitted=(), warm=searched.fit)
+        return Selection(fit=fit, refitted=(), scores=(), rivals=(), rejected={}, p_values={}, free=searched.fit)
+
+    patch.setattr(verdict, "search_causes", lambda laws, wanted: search_causes(laws, replace(wanted, excited=())))
+    patch.setattr(verdict, "select_causes", nothing)

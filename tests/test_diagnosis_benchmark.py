@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from diagnosis_cases import name_nothing
 from sgms_bench.diagnosis.axes import DrawnAxis
 from sgms_bench.diagnosis.causes import Hidden
 from sgms_bench.diagnosis.draws import (
@@ -21,10 +22,6 @@ from sgms_bench.diagnosis.scoring import (
     parameter_errors,
 )
 from sgms_bench.diagnosis.specimens import SPECIMENS, WRONG_NUMBERS
-from sgms_mhe.diagnosis import verdict
-from sgms_mhe.diagnosis.fits import fit_model
-from sgms_mhe.diagnosis.rivals import Selection
-from sgms_mhe.diagnosis.selection import Searched
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES
@@ -94,17 +91,11 @@ def test_two_causes_that_differ_by_less_than_matters_are_not_told_apart(machine:
 @pytest.mark.slow
 def test_what_other_numbers_explain_is_not_adequate(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine with a level that is wrong, where no cause is found: as it is it leaves 24 noise floors."""
-    monkeypatch.setattr(verdict, "select_causes", without_causes)
+    name_nothing(monkeypatch)
     draw, found = run_draw(machine, 105, 219)
     assert draw.truth == ("asymmetric_coulomb",)
     assert not found.names
     assert found.verdict == "unexplained", found
-
-
-def without_causes(searched: Searched) -> Selection:
-    """A selection that has nothing in it."""
-    fit = fit_model(searched.laws.chosen, (), refitted=(), warm=searched.fit)
-    return Selection(fit=fit, refitted=(), scores=(), rivals=(), rejected={}, p_values={}, free=searched.fit)
 
 
 @pytest.mark.slow

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.signal import lfilter
 
-from diagnosis_cases import explained
+from diagnosis_cases import explained, name_nothing
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis import Diagnosis, diagnose, judgement, learned_machine, learner, write_diagnosis
-from sgms_mhe.diagnosis.causes import Confirmed
+from sgms_mhe.diagnosis import Diagnosis, diagnose, learned_machine, learner, write_diagnosis
 from sgms_mhe.diagnosis.coordinates import Coordinate, Warp, cubic, follow_late, memory_of_reversals
 from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.learned import Learned, LearnedRecord, LearnedTerm
@@ -378,7 +377,7 @@ def test_records_that_it_does_not_hold_on_are_said(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_it_is_judged_on_another_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a whole diagnosis that names nothing: a map that transfers would have both records fitted together."""
-    monkeypatch.setattr(judgement, "keep_predictive", lambda _, chosen: Confirmed(chosen, chosen.fit, ()))
+    name_nothing(monkeypatch)
     axis = machine_file(tmp_path)
     here, there = moved_with_force(0.2, 1), moved_with_force(0.17, 2)
     found = diagnose(axis, here, others=[there])
