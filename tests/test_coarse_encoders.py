@@ -58,6 +58,12 @@ def run_screw(step_m: float, *, cogging: bool = False) -> SimulatedRun:
     return simulate_axis(machine, motion, config, hidden_effects=(COGGING,) if cogging else ())
 
 
+@cache
+def diagnose_screw(cutoff: float, step_m: float) -> Diagnosis:
+    """Diagnose the true machine along the simulation."""
+    return diagnose(screw(cutoff), run_screw(step_m).log)
+
+
 def read_screw(cutoff: float, step_m: float) -> tuple[Recording, Array, SimulatedRun]:
     """A record with its encoder, and the force that its steps leave in truth (m) [N]."""
     machine, run = screw(cutoff), run_screw(step_m)
@@ -118,7 +124,7 @@ def test_an_axis_stops_between_uneven_lines_at_another_place_each_time() -> None
 @pytest.mark.slow
 @pytest.mark.parametrize(("cutoff", "step_m"), [(25.0, 1e-6), (200.0, 1e-6), (50.0, 1e-7), (100.0, 1e-8)])
 def test_the_true_machine_is_adequate_however_coarse_its_encoder(cutoff: float, step_m: float) -> None:
-    found = diagnose(screw(cutoff), run_screw(step_m).log)
+    found = diagnose_screw(cutoff, step_m)
     assert (found.verdict, names(found)) == ("adequate", [])
 
 
@@ -146,12 +152,11 @@ def test_pushes_above_a_coarse_encoders_steps_are_not_called_its_noise() -> None
 
 @pytest.mark.slow
 def test_a_residual_over_acceleration_is_said_to_be_the_encoders() -> None:
-    found = diagnose(screw(200.0), run_screw(1e-6).log)
+    found = diagnose_screw(200.0, 1e-6)
     over = next(s for s in found.structure_before if s.coordinate == "acceleration")
     assert over.encoder_N > 0.25 * over.rms_N
     assert "encoder's steps make" in _says("acceleration", found)
-    fine = diagnose(screw(200.0), run_screw(1e-9).log)
-    assert "encoder" not in _says("acceleration", fine)
+    assert "encoder" not in _says("acceleration", diagnose_screw(100.0, 1e-8))
 
 
 @pytest.mark.slow
