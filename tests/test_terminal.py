@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from cli_cases import SCRIPT, SMALL, done, on_terminal, refused
-from sgms_mhe.cli import command_names
+from sgms_mhe.cli import cli, command_names
 from sgms_mhe.commands import common
 from sgms_mhe.commands.common import LONGEST_LOOK_S, AwakeClock, progress_bar, step_notes, steps_bar
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES
@@ -31,10 +32,7 @@ def offered(*words: str) -> list[str]:
     """What bash is told for the last of the words, as `kind,value`."""
     variables = {"_SGMS_MHE_COMPLETE": "bash_complete", "COMP_WORDS": " ".join(("sgms-mhe", *words))}
     variables["COMP_CWORD"] = str(len(words))
-    ran = subprocess.run(
-        [sys.executable, "-c", SCRIPT], env=os.environ | variables, capture_output=True, text=True, check=True
-    )
-    return ran.stdout.split()
+    return CliRunner().invoke(cli, env=variables, prog_name="sgms-mhe").stdout.split()
 
 
 @pytest.mark.parametrize(
@@ -89,10 +87,6 @@ def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
     assert "axis: good" in loud.stderr
     assert quiet.stderr == "" and "1 of 1 logs done" in quiet.stdout
     assert "absent.toml" in refused("-q", "check", tmp_path / "absent.toml")
-
-
-def test_a_terminal_shows_a_bar(tmp_path: Path) -> None:
-    assert "simulate small" in on_terminal(*simulating(tmp_path))
 
 
 @pytest.mark.parametrize("quiet", [False, True])
