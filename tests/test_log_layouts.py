@@ -47,7 +47,7 @@ def test_key_rows_are_understood(
     sizes: tuple[int, ...], separator: str, mark: str, keys: Sequence[str], tmp_path: Path
 ) -> None:
     """Rows of a key and a number stand between the units and the samples: taken for samples, nothing was read."""
-    log, slow = motion(1, 2000.0), motion(1, 1000.0)
+    log, slow = motion(1, 2000.0, 1.0), motion(1, 1000.0, 1.0)
     at, other = 1e3 * log.time_s, log if len(sizes) == 1 or sizes[-1] == 2 else slow
     channels = [
         ("ActPos", "mm (Millimeter)", at, 1e3 * log.position_m),
