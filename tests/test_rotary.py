@@ -211,7 +211,7 @@ def code_of(text: str) -> list[str]:
 @pytest.mark.slow
 def test_a_diagnosis_finds_the_same_and_says_it_in_its_own_units(tmp_path: Path) -> None:
     ripple = ("force_ripple", {"amplitude_N": 0.9, "pitch_m": 0.03, "phase_rad": 0.4})
-    found = [diagnose(machine, moved(machine, ripple, seconds=8.0)) for machine in (twin()[0], twin()[1])]
+    found = [diagnose(machine, moved(machine, ripple, seconds=4.0)) for machine in (twin()[0], twin()[1])]
     assert [cause.name for cause in found[1].causes] == ["force_ripple"]
     assert found[0].causes[0].parameters == found[1].causes[0].parameters
     content = found[1].to_json()
