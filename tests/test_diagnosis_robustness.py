@@ -148,11 +148,6 @@ def test_interval_knows_that_the_axis_switches(quick: Machine) -> None:
 
 
 @pytest.mark.slow
-def test_a_tenth_of_the_samples_is_enough(slow: Machine, rippled: Log) -> None:
-    assert_finds_the_ripple(diagnose(slow, rippled))
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.3, 1.0])
 def test_clean_record_at_a_low_rate_names_nothing(quick: Machine, slow: Machine, speed: float) -> None:
     # The second difference of sparse samples loses a share of a hard acceleration: that is no cause.
@@ -174,6 +169,7 @@ def with_gaps(log: Log) -> tuple[Log, int]:
 
 
 def test_gaps_hide_nothing(slow: Machine, rippled: Log) -> None:
+    """Nor does it take more than a tenth of an axis's samples."""
     log, missing = with_gaps(rippled)
     diagnosis = diagnose(slow, log)
     assert_finds_the_ripple(diagnosis)
