@@ -38,7 +38,7 @@ HIDDEN: Mapping[str, Mapping[str, float]] = {
 
 def recorded(machine: Machine, name: str, seed: int) -> Log:
     """A log of the simulated axis with an effect hidden in it."""
-    return simulate_log(machine, *([(name, HIDDEN[name])] if name else []), seed=seed)
+    return simulate_log(machine, *([(name, HIDDEN[name])] if name else []), seconds=6.0, seed=seed)
 
 
 def roughened(machine: Machine, seed: int) -> Machine:
