@@ -27,7 +27,7 @@ MARKED_TOOLS = {
 }
 """Cross compiler and emulator that the tests with a marker take."""
 LONGEST = """
-test_it_is_judged_on_another_record test_mutants_are_noticed
+test_mutants_are_noticed
 test_a_curve_of_another_form_is_named_and_not_its_imitations test_late_film_of_a_curve_is_found_with_its_lag
 test_an_effect_that_cannot_switch_is_found_on_an_axis_that_does test_experiment_is_the_recorded_one
 test_a_joint_of_mujoco_is_identified_judged_and_compensated test_from_a_trace_to_firmware
