@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from c_packages import STRICT, machine, run, written
+from c_packages import STRICT, compile_object, machine, run, written
 from cli_cases import SMALL, done
 from sgms_mhe.emission.package import emit_package
 
@@ -63,7 +63,7 @@ def test_compiles_without_a_warning_and_gives_the_same_bits(
     source = joined / "etel_xy.c"
     assert re.findall(r'#include "(.*)"', source.read_text()) == ["etel_xy.h"]
     for compiler in ("gcc", "clang"):
-        run(require_tool(compiler), STRICT, "-O1", "-c", source, "-o", tmp_path / "joined.o")
+        compile_object(require_tool(compiler), source, STRICT, "-O1")
     run(require_tool("g++"), "-std=c++17", "-Wall", "-Wextra", "-Werror", "-x", "c++", "-fsyntax-only", source)
     (tmp_path / "main.c").write_text(MOTION)
     said = []

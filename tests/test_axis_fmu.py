@@ -18,7 +18,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
 import sgms_mhe
-from c_packages import STRICT, run, symbols
+from c_packages import STRICT, compile_object, run, symbols
 from export_cases import drive_force, machine_of_effect, machine_with, slave_of
 from package_variants import EFFECTS, GEARED
 from sgms_mhe.emission.axis_forms import axis_numbers
@@ -86,11 +86,10 @@ def test_glue_agrees_with_the_headers_of_the_standard(
     machine = machine_of_effect("position_map")
     zipfile.ZipFile(exported(machine, version, tmp_path)).extractall(tmp_path)
     glue, header = tmp_path / "sources" / f"etel_xy_axis_fmi{version}.c", f"fmi{version}Functions.h"
-    target = tmp_path / "glue.o"
-    run(require_tool(compiler), STRICT, "-O2", "-c", glue, "-o", target)
-    alone = {name for kind, name in symbols(target) if kind == "T"}
-    run(require_tool(compiler), STRICT, "-O2", [f"-I{HEADERS}", "-include", header], "-c", glue, "-o", target)
-    assert {name for kind, name in symbols(target) if kind == "T"} == alone
+    flags = ([], [f"-I{HEADERS}", "-include", header])
+    made = [compile_object(require_tool(compiler), glue, STRICT, "-O2", words) for words in flags]
+    alone, beside = ({name for kind, name in symbols(path) if kind == "T"} for path in made)
+    assert beside == alone
     wanted = set(re.findall(rf"^#define (fmi{version}\w+) +fmi{version}FullName", (HEADERS / header).read_text(), re.M))
     assert alone <= wanted and len(alone) == {2: 34, 3: 75}[version]
     library = next((tmp_path / "binaries").rglob("*.so"))

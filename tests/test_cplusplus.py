@@ -40,7 +40,7 @@ def test_package_is_cplusplus(title: str, require_tool: Tool, tmp_path: Path) ->
     newest = ("-x", "c++", "-std=c++20", "-Wdeprecated", "-Werror", "-fsyntax-only")
     run(require_tool("clang++"), newest, sorted(source.parent.glob("*.c")))
     # gcc finds some of what it warns of only as it optimises.
-    run(require_tool("g++"), LANGUAGE, "-O1", "-c", source, "-o", tmp_path / "object.o")
+    compile_object(require_tool("g++"), source, LANGUAGE, "-O1")
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -50,7 +50,7 @@ def test_runtime_header_is_cplusplus(header: str, precision: str, require_tool: 
     source.write_text(f'#include "{header}"\n')
     single = f"-DSGMS_SINGLE={int(precision == 'single')}"
     unused = "-Wno-unused-function"  # nothing calls what the header brings
-    run(require_tool("g++"), LANGUAGE, unused, single, f"-I{runtime_dir()}", "-c", source, "-o", tmp_path / "object.o")
+    compile_object(require_tool("g++"), source, LANGUAGE, unused, single, f"-I{runtime_dir()}")
 
 
 def estimates(library: Path) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from c_packages import PROBES, STRICT, run, written
+from c_packages import PROBES, STRICT, build, compile_object, run, written
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
 
@@ -24,15 +24,13 @@ def programs(require_tool: Callable[[str], str], tmp_path_factory: pytest.TempPa
     """A program by an example's name: called with arguments it gives the forces' bits and what the board counted."""
     scratch = tmp_path_factory.mktemp("firmware")
     folder = written(emit_package(load_machine("etel_xy_controller")), scratch)
-    compile_c = [require_tool("gcc"), *STRICT, "-O1", f"-I{folder}", f"-I{FIRMWARE}"]
-    package, selftest = scratch / "package.o", scratch / "selftest.o"
-    run(compile_c, "-finstrument-functions", "-c", folder / "etel_xy_controller.c", "-o", package)
-    run(compile_c, "-c", folder / "etel_xy_controller_selftest.c", "-o", selftest)
+    gcc, options = require_tool("gcc"), [*STRICT, "-O1", f"-I{folder}", f"-I{FIRMWARE}"]
+    package = compile_object(gcc, folder / "etel_xy_controller.c", options, "-finstrument-functions")
+    selftest = folder / "etel_xy_controller_selftest.c"
     for name in ("bare", "two_tasks"):
-        example = scratch / f"{name}.o"
-        run(compile_c, "-c", FIRMWARE / f"{name}.c", "-o", example)
-        run(compile_c, "-Wno-missing-prototypes", "-Dmain=example", "-c", FIRMWARE / f"{name}.c", "-o", example)
-        run(compile_c, PROBES / "board.c", example, package, selftest, "-o", scratch / name)
+        compile_object(gcc, FIRMWARE / f"{name}.c", options)
+        example = compile_object(gcc, FIRMWARE / f"{name}.c", options, "-Wno-missing-prototypes", "-Dmain=example")
+        build(gcc, [PROBES / "board.c", example, package, selftest], scratch / name, options)
 
     def program(name: str) -> Program:
         def ran(*arguments: str) -> tuple[list[str], list[int]]:

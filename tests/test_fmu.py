@@ -24,7 +24,7 @@ from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
 from binding_cases import COUNTS, HELD_MASS, KINDS, PITCH, PLACES, Bound, ages, machine_of, outputs_of, ticking
-from c_packages import STRICT, run, symbols
+from c_packages import STRICT, compile_object, symbols
 from cli_cases import SMALL
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.signals.logs import Log
@@ -192,9 +192,8 @@ def test_glue_agrees_with_the_headers_of_the_standard(
     wanted -= MODEL_EXCHANGE if version == 2 else set()
     assert len(wanted) == {2: 34, 3: 75}[version]
     for number, flags in enumerate(([], [f"-DFMI{version}_FUNCTION_PREFIX=x_"], [f"-I{HEADERS}", "-include", header])):
-        target = tmp_path / f"glue{number}.o"
-        run(require_tool(compiler), STRICT, "-O2", flags, "-c", glue, "-o", target)
-        defined = {name for kind, name in symbols(target) if kind == "T"}
+        made = compile_object(require_tool(compiler), glue, STRICT, "-O2", flags)
+        defined = {name for kind, name in symbols(made) if kind == "T"}
         assert defined == ({f"x_{name}" for name in wanted} if number == 1 else wanted)
     library = next((tmp_path / "binaries").rglob("*.so"))
     assert {name for kind, name in symbols(library, "-D") if kind == "T"} == wanted

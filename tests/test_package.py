@@ -155,14 +155,14 @@ def test_names_that_would_collide_are_refused() -> None:
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_no_warning(compiler: str, level: str, precision: str, require_tool: Tool, tmp_path: Path) -> None:
     folder = written(package_of(code={"precision": precision}), tmp_path)
-    run(require_tool(compiler), STRICT, level, "-c", folder / "etel_xy.c", "-o", tmp_path / "etel_xy.o")
+    compile_object(require_tool(compiler), folder / "etel_xy.c", STRICT, level)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("variant", list(VARIANTS))
 def test_no_warning_in_any_variant(variant: str, precision: str, require_tool: Tool, tmp_path: Path) -> None:
     folder = written(package_of(**VARIANTS[variant], code={"precision": precision}), tmp_path)
-    run(require_tool("gcc"), STRICT, "-O1", "-c", folder / "etel_xy.c", "-o", tmp_path / "etel_xy.o")
+    compile_object(require_tool("gcc"), folder / "etel_xy.c", STRICT, "-O1")
     run(require_tool("clang"), STRICT, "-fsyntax-only", folder / "etel_xy.c")
 
 
@@ -170,15 +170,16 @@ def test_no_warning_where_states_are_coupled(require_tool: Tool, tmp_path: Path)
     model = linear_model(bounds={"stiffness": [0.5, 2.0]})
     folder = written(emit_package(model.machine, model, selftest=False), tmp_path)
     for compiler in ("gcc", "clang"):
-        run(require_tool(compiler), STRICT, "-O1", "-c", folder / "etel_xy.c", "-o", tmp_path / "etel_xy.o")
+        compile_object(require_tool(compiler), folder / "etel_xy.c", STRICT, "-O1")
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_helpers_of_the_host_without_a_warning(precision: str, require_tool: Tool, tmp_path: Path) -> None:
     folder = written(package_of(code={"precision": precision}), tmp_path)
     for source in ("replay.c", "predict.c"):
-        files = [f"-I{folder}", "-c", runtime_dir() / source, "-o", tmp_path / "host.o"]
-        run(require_tool("gcc"), STRICT, replay_definitions("etel_xy"), files)
+        compile_object(
+            require_tool("gcc"), runtime_dir() / source, STRICT, replay_definitions("etel_xy"), f"-I{folder}"
+        )
 
 
 @pytest.mark.parametrize("kind", ["mhe", "ekf"])
@@ -630,9 +631,10 @@ def test_no_memory_is_read_that_was_not_written(precision: str, kind: str, requi
     valgrind, changes = require_tool("valgrind"), ESTIMATORS[kind]
     estimator = {"horizon": 4, **changes.get("estimator", {})}
     folder = written(package_of(**{**changes, "estimator": estimator}, code={"precision": precision}), tmp_path)
-    files = [PROBES / "uninitialised.c", folder / "etel_xy.c", "-o", tmp_path / "program"]
-    run(require_tool("gcc"), STRICT[0], "-O1", "-g", replay_definitions("etel_xy"), f"-I{folder}", files)
-    lines = run(valgrind, "-q", "--error-exitcode=9", tmp_path / "program").splitlines()
+    options = [STRICT[0], "-O1", "-g", *replay_definitions("etel_xy"), f"-I{folder}"]
+    sources = [PROBES / "uninitialised.c", folder / "etel_xy.c"]
+    program = build(require_tool("gcc"), sources, tmp_path / "program", options)
+    lines = run(valgrind, "-q", "--error-exitcode=9", program).splitlines()
     assert len(lines) > 4 * 12 and not any("nan" in line for line in lines)
 
 
@@ -1045,10 +1047,10 @@ def test_solution_that_is_not_finite_is_refused(precision: str, changes: dict[st
 def test_sanitizers_find_nothing(precision: str, kind: str, require_tool: Tool, tmp_path: Path) -> None:
     """ASan and UBSan over the hostile logs, one task and two; the program prints every estimate."""
     folder = written(package_of(code={"precision": precision}, estimator=estimator_of(kind)), tmp_path)
-    program = tmp_path / "program"
     checks = ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
-    files = [PROBES / "hostile.c", PROBES / "estimator_probe.c", folder / "etel_xy.c", "-o", program]
-    run(require_tool("gcc"), STRICT[0], "-O1", "-g", checks, replay_definitions("etel_xy"), f"-I{folder}", files)
+    options = [STRICT[0], "-O1", "-g", *checks, *replay_definitions("etel_xy"), f"-I{folder}"]
+    sources = [PROBES / "hostile.c", PROBES / "estimator_probe.c", folder / "etel_xy.c"]
+    program = build(require_tool("gcc"), sources, tmp_path / "program", options)
     for seed in range(2):
         q, u, _ = hostile_log(seed)
         q[2000:2400:3], q[2001:2400:3] = 3.9999999e6, -3.9999999e6  # the ends of what counts as a position

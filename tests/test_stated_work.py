@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from c_packages import PROBES, Array, machine, run, scheme, written
+from c_packages import PROBES, Array, build, machine, run, scheme, written
 from package_variants import EFFECTS, VARIANTS
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.budget import OPERATION_RATE
@@ -78,8 +78,8 @@ class Counter:
             f"-DHAS_UNITS={int(package.machine.estimator.kind == 'mhe')}",
         ]
         self.program = folder / "operations"
-        flags = ["-x", "c++", "-std=c++17", "-O1", "-w", f"-I{PROBES}", f"-I{source}", *definitions]
-        run(require_tool("g++"), flags, PROBES / "operations.cpp", "-o", self.program)
+        flags = ["-std=c++17", "-O1", "-w", f"-I{PROBES}", f"-I{source}", *definitions]
+        build(require_tool("g++"), [PROBES / "operations.cpp"], self.program, flags)
 
     def most(self, position: Array, force: Array) -> dict[str, int]:
         """The most operations of each call over a motion [m] with its force [N]."""
