@@ -354,6 +354,7 @@ def test_what_it_refuses(version: int, slave: Any) -> None:
 # --- the archive -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_its_bytes_are_those_of_its_content(bound: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # nothing built before
     again = emit_package(machine_of("double"), selftest=False, bindings=["fmu3", "fmu2"])

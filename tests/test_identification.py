@@ -522,6 +522,7 @@ def test_number_of_elements_can_be_given(log: Log) -> None:
     assert [sum(text.startswith("residual: ") for text in one.limits) for one in (found, more)] == [1, 0]
 
 
+@pytest.mark.slow
 def test_wrong_mass_is_said(log: Log) -> None:
     found = identify([log], Wanted("a", 1.2 * MASS))
     assert found.machine.plant.moved == pytest.approx(MASS, rel=5e-3)

@@ -106,6 +106,7 @@ def test_plain_friction_stands_beside_every_verdict() -> None:
     assert found.to_json()["simulation_error"] == found.errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, 10.0])
 def test_a_file_that_is_rough_in_presliding_alone_begins_from_the_record(factor: float) -> None:
     """It predicts better than plain friction, which has no presliding at all, and is no beginning all the same."""
@@ -134,6 +135,7 @@ def test_distance_is_of_what_the_record_determines() -> None:
     assert distance([level, RefutedNumber("break_away_m", 1e-3, 1e-5, 1e-7)], 0.1) > 2.0 * ROUGH
 
 
+@pytest.mark.slow
 def test_elements_that_break_away_within_a_sample_cost_no_more_than_it_resolves() -> None:
     """A slow log of plain sliding friction whose level falls with speed: smooth elements would take for ever."""
     rate, period = 60.0, 8.0

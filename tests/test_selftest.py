@@ -121,6 +121,7 @@ def test_needs_the_estimator_and_nothing_else(folder: Path, require_tool: Tool, 
     assert not [name for kind, name in found if kind in "BbDdCcGgSs"], "writable globals"
 
 
+@pytest.mark.slow
 @pytest.mark.needs_arm
 @pytest.mark.parametrize("name", ["etel_xy", "etel_xy_controller"])
 def test_stays_within_4_kB_of_stack_and_40_kB_of_flash(name: str, tmp_path: Path) -> None:

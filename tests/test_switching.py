@@ -277,6 +277,7 @@ def test_friction_ahead_is_the_law_over_lag_and_delay() -> None:
     np.testing.assert_allclose(found[40:], expected[40:], rtol=0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_takes_the_law_as_it_is() -> None:
     """Its emitted models switch."""
     settings = switching()
