@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -48,6 +49,12 @@ def swung_motor(seed: int, friction: Callable[[Array], Array], spring: float = 0
     )
 
 
+@cache
+def identify_motor(law: str) -> Identification:
+    """Identify it, its inertia given 4 % off."""
+    return identify([swung_motor(1, LAWS[law])], Wanted("motor", 5e-6))
+
+
 def find_spring(found: Identification) -> Number:
     return next(number for number in found.numbers if number.name == "position_spring.stiffness_N_m")
 
@@ -56,7 +63,7 @@ def find_spring(found: Identification) -> Number:
 @pytest.mark.parametrize("law", LAWS)
 def test_what_is_stated_is_left_on_another_record(law: str) -> None:
     """Ten times as much was left: a force twelve samples early had stood for a part of the friction."""
-    found = identify([swung_motor(1, LAWS[law])], Wanted("motor", 5e-6))
+    found = identify_motor(law)
     left = force_error(predict(found.machine, swung_motor(2, LAWS[law]))).residual_rms_N
     assert left < 1.6 * found.held_out_rms_N
     assert not any("the motion that it makes" in limit for limit in found.limits)
@@ -72,7 +79,7 @@ def test_one_frequency_shows_no_inertia_beside_a_spring() -> None:
 @pytest.mark.slow
 def test_one_frequency_shows_no_spring_beside_an_inertia_that_it_does_not_show() -> None:
     """2.5e-5 +- 0.2e-5 N m/rad were stated of an axis that has no spring: the inertia that was given is 4 % off."""
-    found = identify([swung_motor(1, LAWS["saturating"])], Wanted("motor", 5e-6))
+    found = identify_motor("saturating")
     spring = find_spring(found)
     assert not spring.determined
     assert spring.std > abs(spring.value)
