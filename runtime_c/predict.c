@@ -79,6 +79,7 @@ static void put_sensitivity(const interval_map *map, const sgms_real *d_start, s
 
 int sgms_predict(
     long samples,
+    long every,
     const double *signals,
     const double *theta,
     double *x,
@@ -109,15 +110,20 @@ int sgms_predict(
             put_terms(signals + SIGNALS * k, term);
             integrate_blocks(term, blocks);
         }
-        if (force) {
+        if (force && (k + 1) % every == 0) {
+            const long row = k / every;
             if (d_force) {
                 blocks_end(&at, blocks, start, &map);
                 put_sensitivity(&map, d_start, sensitivity);
             } else {
                 blocks_states(&at, blocks, map.x);
             }
-            put_force(
-                map.x, sensitivity, signals + SIGNALS * k, at.theta, force + k, d_force ? d_force + k * PARAMETERS : 0);
+            put_force(map.x,
+                sensitivity,
+                signals + SIGNALS * k,
+                at.theta,
+                force + row,
+                d_force ? d_force + row * PARAMETERS : 0);
         }
     }
     blocks_end(&at, blocks, start, &map);

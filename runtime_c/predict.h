@@ -3,7 +3,8 @@
 #ifndef SGMS_PREDICT_H
 #define SGMS_PREDICT_H
 
-/* Friction force [N] at every sample and its derivatives in theta (samples x parameters), each unless NULL.
+/* Friction force [N] at the last of every `every` samples and its derivatives in theta (as many x parameters), each
+ * unless NULL.
  *
  * signals: samples x 5, position, velocity, acceleration, force, time; theta: scaled parameters; x: node state at the
  * first sample, on return at the last one; d_x: its derivatives in theta (states x parameters), likewise; zeros to
@@ -12,6 +13,7 @@
  * number of whole steps, or -1 is returned, else 0. */
 int sgms_predict(
     long samples,
+    long every,
     const double *signals,
     const double *theta,
     double *x,

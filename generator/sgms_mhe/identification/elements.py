@@ -84,18 +84,18 @@ def run_element(
     values = np.array([1.0 / DISTANCE, rise.ratio, rise.velocity * unit])
 
     def run() -> tuple[Array, Array | None]:
-        n = len(motion.velocity)
-        w = np.zeros((n, 5))
+        w = np.zeros((len(motion.velocity), 5))
         w[:, 1] = motion.velocity * unit
         if motion.load is not None:
             w[:, 2] = motion.load / LOAD_RATIO
+        n = len(w) // motion.steps
         chi, d = np.empty(n), np.empty((n, 3)) if jacobian else None
-        code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d)
+        code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d, motion.steps)
         if d is not None:
             # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
             d *= np.array([-values[0], 1.0, values[2]]) / nominal
         if motion.load is not None:
-            chi, d = _take_load_off(motion.load, motion.velocity, rise, chi, d)
+            chi, d = _take_load_off(motion.at_samples(motion.load), motion.at_samples(motion.velocity), rise, chi, d)
         return motion.to_rows(chi), None if d is None else motion.to_rows(d)
 
     # The unit says which distance it is: values alone are those of others at another speed as well.

@@ -88,9 +88,12 @@ class ElementMotion:
         course = np.interp((samples + late) / self.factor, np.arange(self.rows), load)
         return replace(self, load=course, runs=Runs(RUNS_CACHED))
 
+    def at_samples(self, series: Array) -> Array:
+        """Return what a series (n) is at the samples (n // steps)."""
+        return series[self.steps - 1 :: self.steps]
+
     def to_rows(self, series: Array) -> Array:
-        """A force, or columns of forces, at the rows: (n, ...) to (rows, ...)."""
-        series = series[self.steps - 1 :: self.steps]
+        """A force, or columns of forces, at the rows: (n // steps, ...) to (rows, ...)."""
         if self.filtered:
             series = apply_chain(self.machine, series)
         return row_means(series[: self.rows * self.factor], self.factor)

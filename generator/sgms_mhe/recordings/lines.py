@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -29,11 +30,13 @@ class Lines:
         coordinates: instants [s] and positions [m], say, of the rows (k, width) each.
         basis: of the polynomial that is taken out of every segment, orthonormal (width, order + 1).
         found: coordinate's number and cycles per unit of it, of each line.
+        waves: cosine and sine of each (2, k, width).
     """
 
     coordinates: tuple[Array, ...]
     basis: Array
     found: list[tuple[int, float]] = field(default_factory=list)
+    waves: list[Array] = field(default_factory=list)
 
     def add_line(self, rest: Array, left: Array) -> Array | None:
         """Find the strongest line that is left, and fit all lines anew.
@@ -57,14 +60,20 @@ class Lines:
         if strongest == 0.0:
             return None
         self.found.append((which, frequency))
-        seen = (weight * rest).ravel()
+        self.waves.append(self._wave(which, frequency))
+        weights, seen = np.repeat(weight, rest.shape[1]), (weight * rest).ravel()
         # A step of Gauss and Newton in all frequencies.
-        columns = self._columns(weight)
+        columns = weights * self._project(self.waves)
         sizes = _solve(columns, seen)
-        moves = _solve(np.column_stack((columns, self._slopes(weight, sizes))), seen)[len(sizes) :]
+        slopes = [
+            self._turns(which) * (sine * wave[0] - cosine * wave[1])
+            for (which, _), wave, cosine, sine in zip(self.found, self.waves, sizes[0::2], sizes[1::2], strict=True)
+        ]
+        moves = _solve(np.concatenate((columns, weights * self._project(slopes))), seen)[len(sizes) :]
         self.found = [self._moved(line, float(move)) for line, move in zip(self.found, moves, strict=True)]
-        sizes = _solve(self._columns(weight), seen)
-        return np.asarray(rest - (self._columns(np.ones_like(weight)) @ sizes).reshape(rest.shape))
+        self.waves = [self._wave(*line) for line in self.found]
+        columns = self._project(self.waves)
+        return np.asarray(rest - (_solve(weights * columns, seen) @ columns).reshape(rest.shape))
 
     def _finest(self, coordinate: Array) -> float:
         """Cycles per unit of a coordinate (k, width) that a line may have, at most."""
@@ -81,29 +90,23 @@ class Lines:
         at = self.coordinates[which]
         return np.asarray(2.0 * math.pi * (at - 0.5 * (float(at.min()) + float(at.max()))))
 
-    def _columns(self, weight: Array) -> Array:
-        """Cosine and sine of each line, of which the polynomial is taken out (rows, 2 lines)."""
-        angles = [frequency * self._turns(which) for which, frequency in self.found]
-        return np.stack([self._project(f(angle), weight) for angle in angles for f in (np.cos, np.sin)], axis=1)
+    def _wave(self, which: int, frequency: float) -> Array:
+        """Cosine and sine of a line (2, k, width)."""
+        angle = frequency * self._turns(which)
+        return np.stack((np.cos(angle), np.sin(angle)))
 
-    def _slopes(self, weight: Array, sizes: Array) -> Array:
-        """Derivative of each line, its cosine and sine of these sizes (2 lines), in its frequency (rows, lines)."""
-        columns = []
-        for (which, frequency), cosine, sine in zip(self.found, sizes[0::2], sizes[1::2], strict=True):
-            turns = self._turns(which)
-            slope = turns * (sine * np.cos(frequency * turns) - cosine * np.sin(frequency * turns))
-            columns.append(self._project(slope, weight))
-        return np.stack(columns, axis=1)
-
-    def _project(self, series: Array, weight: Array) -> Array:
-        return np.asarray((weight * (series - series @ self.basis @ self.basis.T)).ravel())
+    def _project(self, series: Sequence[Array]) -> Array:
+        """Return series (..., k, width), the polynomial taken out of each, one behind the other (series, rows)."""
+        stacked = np.stack(series)
+        stacked -= stacked @ self.basis @ self.basis.T
+        return stacked.reshape(-1, self.coordinates[0].size)
 
 
 def _solve(X: Array, y: Array) -> Array:
-    """Least squares of columns that may be alike."""
-    scale = np.sqrt(np.sum(X**2, axis=0)) + 1e-300
-    X = X / scale
-    return np.asarray(np.linalg.solve(X.T @ X + SOLVABLE * np.eye(X.shape[1]), X.T @ y) / scale)
+    """Least squares of series (p, rows) that may be alike."""
+    scale = np.sqrt(np.einsum("ij,ij->i", X, X)) + 1e-300
+    gram = X @ X.T / np.outer(scale, scale)
+    return np.asarray(np.linalg.solve(gram + SOLVABLE * np.eye(len(X)), X @ y / scale) / scale)
 
 
 def _find_strongest(series: Array, coordinate: Array, finest: float) -> tuple[float, float]:

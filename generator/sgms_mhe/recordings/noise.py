@@ -8,9 +8,9 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from scipy import stats
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
+from scipy.special import chdtr, chdtri
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.lines import Lines
@@ -125,10 +125,10 @@ class _Quiet:
 def _find_quiet(rest: Array, colour: Colour) -> _Quiet:
     """The pieces (k) of what a polynomial leaves (k, width) that noise alone would make."""
     power = np.mean(rest**2, axis=1)
-    noise = stats.chi2(colour.freedom)
-    most = float(noise.ppf(LIKELY)) / colour.freedom
-    share = float(stats.chi2(colour.freedom + 2.0).cdf(noise.ppf(LIKELY))) / LIKELY  # of the mean, below that
-    mean = float(np.quantile(power, QUIETEST) / noise.ppf(QUIETEST)) * colour.freedom
+    likely, quietest = chdtri(colour.freedom, 1.0 - np.array([LIKELY, QUIETEST])).tolist()
+    most = likely / colour.freedom
+    share = float(chdtr(colour.freedom + 2.0, likely)) / LIKELY  # of the mean, below that
+    mean = float(np.quantile(power, QUIETEST)) / quietest * colour.freedom
     quiet = power <= most * mean
     for _ in range(ROUNDS):
         if not quiet.any():
