@@ -171,7 +171,8 @@ def maximise_evidence(
     size, rough = (groups + BEGIN, groups + BEGIN) if begin is None else (begin.size, begin.rough)
     for _ in range(steps):
         prior = design.find_prior(rows, size, rough)
-        b, inverse = _solve(rows, prior)
+        b, factor = _solve(rows, prior)
+        inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0].diagonal()
         told = float((1.0 - inverse * prior).sum())
         variance = max(rows.loss(b), WEAK * rows.square) / max(rows.rows - told, 0.1 * rows.rows)
         unsure = tau * variance * (1.0 / prior - inverse)
@@ -185,11 +186,11 @@ def maximise_evidence(
 
 
 def _solve(rows: Moments, prior: Array) -> tuple[Array, Array]:
-    """Return the solution (p) beside a prior (p), and the diagonal of its information's inverse (p)."""
-    factor, _ = lapack.dpotrf(rows.H + np.diag(prior), lower=1, overwrite_a=1)
-    b, _ = lapack.dpotrs(factor, rows.g, lower=1)
-    inverse, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
-    return b, inverse.diagonal().copy()
+    """Return the solution (p) beside a prior (p), and the lower Cholesky factor (p, p) of its information."""
+    information = rows.H.T.copy(order="F")  # in the library's own order, which symmetric sums are in as well
+    np.fill_diagonal(information, information.diagonal() + prior)
+    factor = lapack.dpotrf(information, lower=1, overwrite_a=1, clean=0)[0]
+    return lapack.dpotrs(factor, rows.g, lower=1)[0], factor
 
 
 def _step(group: Index, log: Array, unsure: Array, square: Array) -> Array:

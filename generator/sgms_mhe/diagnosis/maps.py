@@ -80,12 +80,11 @@ class _Moments:
 
     def squares(self, places: list[int]) -> Array:
         """Those of some columns by fold (folds, k, k)."""
-        F, C = self.columns[:, places], self.mixed.sum(axis=0)[:, places]
-        found = np.empty((len(self.count), len(places), len(places)))
-        for fold, count in enumerate(self.count):
-            mixed = self.mixed[fold][:, places].T @ C
-            found[fold] = F.T @ (count[:, None] * F) - mixed - mixed.T + C.T @ self.own[fold] @ C
-        return found
+        F, mixed = self.columns[:, places], self.mixed[:, :, places]
+        C = mixed.sum(axis=0)
+        cross = mixed.transpose(0, 2, 1) @ C
+        found = (self.count[:, None, :] * F.T) @ F - cross - cross.transpose(0, 2, 1) + C.T @ self.own @ C
+        return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,13 +344,9 @@ def _pair_energies(target: Array, square: Array, least: float) -> Array:
 
 def _unseen_gain(moments: _Moments, places: list[int]) -> float:
     """Sum of squares that columns explain, each fold by a fit of the others."""
-    H = moments.squares(places)
-    b = moments.target[:, places]
-    total = 0.0
-    for fold in range(len(b)):
-        size = np.linalg.lstsq(H.sum(axis=0) - H[fold], b.sum(axis=0) - b[fold], rcond=1e-10)[0]
-        total += float(2.0 * b[fold] @ size - size @ H[fold] @ size)
-    return total
+    H, b = moments.squares(places), moments.target[:, places, None]
+    size = np.linalg.pinv(H.sum(axis=0) - H, rcond=1e-10, hermitian=True) @ (b.sum(axis=0) - b)
+    return float(np.sum(size * (2.0 * b - H @ size)))
 
 
 def _moments(seen: Residual, beside: _Beside, x: Array, slow: Mask, period: float, highest: int) -> _Moments:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, Literal
 
 Kind = Literal["linear", "rotary"]
@@ -56,6 +57,7 @@ PURE_NUMBERS: Final = ("ratio", "gain", "order", "cells")
 """What the name of a number without a unit ends in."""
 
 
+@cache
 def suffix_of(name: str) -> str:
     """The end of a name that states its unit; empty where it has none."""
     return next((suffix for suffix in UNITS if name.endswith(suffix)), "")
