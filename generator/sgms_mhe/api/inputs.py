@@ -109,8 +109,8 @@ def read_logs(
     Arguments and errors are those of `read_log`.
     """
     sources, table = list_sources(logs), dict(table or {})
-    if machine is None and table.get("resample") and "rate" not in table:
-        table["rate"] = min((read_log(log, table=table, note=lambda _: None).rate for log in sources), default=None)
+    if machine is None and table.get("resample") and "rate" not in table and len(sources) > 1:
+        table["rate"] = min(read_log(log, table=table, note=lambda _: None).rate for log in sources)
     return [read_log(log, machine, table=table, note=note) for log in sources]
 
 

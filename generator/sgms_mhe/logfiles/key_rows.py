@@ -64,7 +64,8 @@ def find_key_rows(
         samples: the same of the samples.
         decimal: mark of their numbers.
     """
-    (start, first), *others = samples
+    others = iter(samples)
+    start, first = next(others)
     keyed: dict[str, tuple[int, Sequence[str]]] = {}
     for line, fields in above:
         keyed.setdefault(re.sub(r"[\s_\-:]|[\[(].*", "", fields[0]).casefold(), (line, fields))
