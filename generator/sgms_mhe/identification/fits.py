@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -170,7 +171,8 @@ class _AxisPoint:
     coefficients: Array
     residual: Array
     nonlinear: Array
-    linear: Array
+    elements: Array
+    gram: Array
     cost: float
 
 
@@ -189,37 +191,45 @@ class _AxisProblem:
         """The model at a shape, its linear part solved for on the rows seen."""
         rise = shape.rise or NO_RISE
         runs = run_elements(self.view.motions, shape.law, shape.distances, rise)
-        linear = np.column_stack([*(run.chi for run in runs), self.columns])
+        elements = np.column_stack([self.columns[:, :0], *(run.chi for run in runs)])
         count = len(runs)
         positive = np.concatenate((np.ones(count, dtype=np.bool_), self.positive))
         information = np.concatenate((np.zeros(count), self.information))
-        X, y = linear.compress(self.seen, axis=0), self.view.rows.friction[self.seen]
-        gram, aim = X.T @ X, X.T @ y
+        E, (C, y, own, target) = elements.compress(self.seen, axis=0), self._beside
+        mixed = E.T @ C
+        gram, aim = np.block([[E.T @ E, mixed], [mixed.T, own]]), np.concatenate((E.T @ y, target))
         noise = np.minimum(self.count * self.noise, MOST_NOISE * _own_information(gram, self.noise)[count:])
         aim[count:] += noise * self.known
         b = solve_nonnegative(gram, aim, positive, information - np.concatenate((np.zeros(count), noise)))
-        residual = self.view.rows.friction - linear @ b
+        residual = self.view.rows.friction - elements @ b[:count] - self.columns @ b[count:]
         nonlinear = [b[k] * run.jacobian[:, 0] for k, run in enumerate(runs)]
         if shape.rise is not None:
             nonlinear += [np.sum([b[k] * run.jacobian[:, j] for k, run in enumerate(runs)], axis=0) for j in (1, 2)]
         seen = residual[self.seen]
         cost = float(seen @ seen + information @ b**2 - noise @ (self.known + b[count:]) ** 2)
         bent = np.column_stack((self.columns[:, :0], *nonlinear))
-        return _AxisPoint(shape, b[:count], b[count:], residual, bent, linear, cost)
+        return _AxisPoint(shape, b[:count], b[count:], residual, bent, elements, gram, cost)
 
-    @property
+    @cached_property
+    def _beside(self) -> tuple[Array, Array, Array, Array]:
+        """Columns and friction on the rows seen, and their products with the columns: no shape changes them."""
+        C, y = self.columns.compress(self.seen, axis=0), self.view.rows.friction[self.seen]
+        return C, y, C.T @ C, C.T @ y
+
+    @cached_property
     def count(self) -> int:
         """Residual rows."""
         return int(self.seen.sum())
 
     def quadratic(self, here: _AxisPoint) -> Quadratic:
         """Return the quadratic model of the cost in log D, beta, log v_s, the linear part solved for."""
-        N = here.nonlinear.compress(self.seen, axis=0)
+        N, E, C = here.nonlinear.compress(self.seen, axis=0), here.elements.compress(self.seen, axis=0), self._beside[0]
         fixed = np.concatenate((here.levels, np.where(self.positive, here.coefficients, 1.0))) == 0.0
-        X = here.linear.compress(self.seen, axis=0).compress(~fixed, axis=1)
-        X = X / (np.sqrt(np.sum(X**2, axis=0)) + 1e-300)
-        gram = X.T @ X + 1e-9 * np.eye(X.shape[1])
-        projected = N - X @ np.linalg.solve(gram, X.T @ N)
+        square = np.diag(here.gram)
+        scale = np.where(fixed | (square < NOTHING), 0.0, 1.0 / np.sqrt(np.maximum(square, NOTHING)))
+        gram = here.gram * np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
+        b = scale[:, None] * np.linalg.solve(gram, scale[:, None] * np.concatenate((E.T @ N, C.T @ N)))
+        projected = N - E @ b[: E.shape[1]] - C @ b[E.shape[1] :]
         H = projected.T @ projected
         # The linear part is at its optimum: the cost changes with the nonlinear one alone.
         return Quadratic(H, N.T @ here.residual[self.seen], np.zeros(len(H)), np.diag(H))
@@ -325,7 +335,7 @@ def _finish(problem: _AxisProblem, point: _AxisPoint) -> AxisFit:
     rows, count = problem.view.rows, len(point.levels)
     extra = point.nonlinear.shape[1] - count
     jacobian = np.column_stack(
-        (point.nonlinear[:, :count], point.linear[:, :count], point.nonlinear[:, count:], point.linear[:, count:])
+        (point.nonlinear[:, :count], point.elements, point.nonlinear[:, count:], problem.columns)
     )
     prior = np.concatenate((np.zeros(2 * count + extra), problem.information))
     fixed = np.concatenate((np.zeros(count, dtype=np.bool_), point.levels == 0.0, np.zeros(extra, dtype=np.bool_),
