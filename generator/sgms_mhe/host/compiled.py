@@ -99,14 +99,7 @@ class CompiledModel:
         return Prediction(friction)
 
     def advance(
-        self,
-        w: Array,
-        theta: Array,
-        state: Array,
-        sensitivity: Array,
-        force: Array | None,
-        slopes: Array | None,
-        every: int = 1,
+        self, w: Array, theta: Array, state: Array, sensitivity: Array, force: Array | None, slopes: Array | None
     ) -> None:
         """Run the model along signals w (n, 5; 6 with a mean acceleration), in place; all arrays contiguous.
 
@@ -115,15 +108,15 @@ class CompiledModel:
             theta: scaled parameters (n_p).
             state: node state (n_x), from the first sample's to the last's.
             sensitivity: its derivatives in theta (n_x, n_p), likewise.
-            force: takes the friction (n // every) [N]; None: not asked for.
-            slopes: takes its derivatives in theta (n // every, n_p); None: not asked for.
-            every: of so many samples the last one has a friction.
+            force: takes the friction (k) [N] at the last of every n / k samples; None: not asked for.
+            slopes: takes its derivatives in theta (k, n_p); None: not asked for.
 
         Raises:
             ValueError: no whole number of integration steps.
         """
         arrays = (w, theta, state, sensitivity, force, slopes)
         pointers = [None if array is None else ctypes.c_void_p(array.ctypes.data) for array in arrays]
+        every = 1 if force is None else len(w) // max(1, len(force))
         done = self._library.sgms_predict(ctypes.c_long(len(w)), ctypes.c_long(every), *pointers)
         if done != 0:
             raise ValueError(f"{len(w)} samples are no whole number of steps of {self.machine.sampling.merged}")

@@ -90,7 +90,7 @@ def run_element(
             w[:, 2] = motion.load / LOAD_RATIO
         n = len(w) // motion.steps
         chi, d = np.empty(n), np.empty((n, 3)) if jacobian else None
-        code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d, motion.steps)
+        code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d)
         if d is not None:
             # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
             d *= np.array([-values[0], 1.0, values[2]]) / nominal

@@ -306,17 +306,11 @@ def fit_axis(
         seen: rows that the fit sees (m); None: all used ones.
         iterations: at most.
     """
-    deviation = np.concatenate([np.full(t.columns.shape[1], t.deviation) for t in terms])
-    problem = _AxisProblem(
-        view,
-        tuple(terms),
-        view.rows.used if seen is None else seen,
-        np.column_stack([t.columns for t in terms]),
-        np.concatenate([np.full(t.columns.shape[1], t.positive) for t in terms]),
-        (view.noise / deviation) ** 2,
-        np.concatenate([np.full(t.columns.shape[1], t.noise) for t in terms]),
-        np.concatenate([np.full(t.columns.shape[1], t.known) for t in terms]),
-    )
+    widths, columns = [t.columns.shape[1] for t in terms], np.column_stack([t.columns for t in terms])
+    each = zip(*((t.positive, t.deviation, t.noise, t.known) for t in terms), strict=True)
+    positive, deviation, noise, known = (np.repeat(values, widths) for values in each)
+    seen, information = view.rows.used if seen is None else seen, (view.noise / deviation) ** 2
+    problem = _AxisProblem(view, tuple(terms), seen, columns, positive, information, noise, known)
     here = problem.at(_within(start, view))
     return _finish(problem, minimise(problem, here, problem.box, iterations, ENOUGH * problem.count, TRIES))
 
@@ -332,15 +326,12 @@ def hold_shape(view: RecordView, fit: AxisFit) -> AxisFit:
 
 
 def _finish(problem: _AxisProblem, point: _AxisPoint) -> AxisFit:
-    rows, count = problem.view.rows, len(point.levels)
-    extra = point.nonlinear.shape[1] - count
-    jacobian = np.column_stack(
-        (point.nonlinear[:, :count], point.elements, point.nonlinear[:, count:], problem.columns)
-    )
+    rows, count, N = problem.view.rows, len(point.levels), point.nonlinear
+    extra = N.shape[1] - count
+    jacobian = np.column_stack((N[:, :count], point.elements, N[:, count:], problem.columns))
     prior = np.concatenate((np.zeros(2 * count + extra), problem.information))
-    fixed = np.concatenate((np.zeros(count, dtype=np.bool_), point.levels == 0.0, np.zeros(extra, dtype=np.bool_),
-                           problem.positive & (point.coefficients == 0.0)))  # fmt: skip
-    interior = ~fixed
+    told = ~problem.positive | (point.coefficients != 0.0)
+    interior = np.concatenate((np.full(count, True), point.levels != 0.0, np.full(extra, True), told))
     return AxisFit(
         shape=point.shape,
         levels=point.levels,
