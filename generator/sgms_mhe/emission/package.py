@@ -13,7 +13,7 @@ from sgms_mhe.emission.delivery import accompany, write_folder
 from sgms_mhe.emission.layout import memory_of
 from sgms_mhe.emission.rendering import amalgamate_files, render, stamp_digest
 from sgms_mhe.emission.selftest import selftest_vectors
-from sgms_mhe.emission.structure import analyse, report
+from sgms_mhe.emission.structure import Structure, analyse, report
 from sgms_mhe.emission.work import work_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
@@ -60,17 +60,14 @@ def emit_package(
         InputError: the machine asks for something that cannot be emitted; the message says what.
     """
     bound = binding_files(tuple(bindings), machine.name)
-    model = model or build_model(machine)
-    if model.n_p == 0:
-        raise InputError(machine.source, "estimator.parameters", [], "at least one parameter to estimate")
-    structure = analyse(model)
+    structure = _analyse(model or build_model(machine))
     view = package_view(structure)
     work = work_of(view)
     view = replace(view, work=work)
     if within_budget:
         check_budget(machine, work)
     if selftest:
-        view = replace(view, vectors=selftest_vectors(model))
+        view = replace(view, vectors=selftest_vectors(structure.model))
     view = stamp_digest(view)
     files = render(view)
     memory = memory_of(files, machine.name, view.package.real)
@@ -80,6 +77,18 @@ def emit_package(
     files["structure.txt"] = report(structure)
     whole, archives, missing = accompany(view, files, memory, bound)
     return Package(machine, dict(sorted(whole.items())), archives, missing)
+
+
+def emit_model(model: Model) -> Package:
+    """Generate the headers by which a model runs without its estimator, on a host. Raises InputError likewise."""
+    view = package_view(_analyse(model))
+    return Package(model.machine, render(view, model_alone=True) | _runtime(view))
+
+
+def _analyse(model: Model) -> Structure:
+    if model.n_p == 0:
+        raise InputError(model.machine.source, "estimator.parameters", [], "at least one parameter to estimate")
+    return analyse(model)
 
 
 def _runtime(view: PackageView) -> dict[str, str]:

@@ -60,17 +60,20 @@ class _Literals(Extension):
             yield Token(token.lineno, token.type, _PIECE.sub(replaced, token.value)) if token.type == "data" else token
 
 
-def render(view: PackageView) -> dict[str, str]:
-    """The emitted C of a package, by file name; `view` as `stamp_digest`."""
+def render(view: PackageView, *, model_alone: bool = False) -> dict[str, str]:
+    """The emitted C of a package, by file name; `view` as `stamp_digest`.
+
+    `model_alone`: the headers that a model runs by without its estimator, their lines as long as they come.
+    """
     name = view.package.name
     files = {
         f"{name}.h": "machine.h",
-        f"{name}.c": "machine.c",
         f"{name}_config.h": "config.h",
         f"{name}_model.h": "model.h",
         f"{name}_integrator.h": "integrator.h",
-        f"{name}_compensation.h": "compensation.h",
     }
+    if not model_alone:
+        files |= {f"{name}.c": "machine.c", f"{name}_compensation.h": "compensation.h"}
     if view.flow is not None:
         files[f"{name}_flow.h"] = "flow.h"
     if view.tables:
@@ -78,7 +81,8 @@ def render(view: PackageView) -> dict[str, str]:
     if view.vectors is not None:
         files[f"{name}_selftest.h"] = "selftest.h"
         files[f"{name}_selftest.c"] = "selftest.c"
-    return {file: _render(view, template, view.machine.code.precision) for file, template in files.items()}
+    precision, wraps = view.machine.code.precision, not model_alone
+    return {file: _render(view, template, precision, wraps=wraps) for file, template in files.items()}
 
 
 def render_page(view: PackageView, template: str, delivery: object) -> str:
@@ -119,12 +123,12 @@ def declared_digest(header: str) -> str:
     return hashlib.sha256(" ".join(code.split()).encode()).hexdigest()[:8]
 
 
-def _render(view: PackageView, template: str, precision: Precision, **more: object) -> str:
+def _render(view: PackageView, template: str, precision: Precision, *, wraps: bool = True, **more: object) -> str:
     """One template's text; literals in it as those of a precision."""
     subjects = {field.name: getattr(view, field.name) for field in fields(view)}
     subjects |= {"name": view.package.name, "NAME": view.package.NAME, "units": view.machine.plant.units, **more}
     text = _environment(precision).get_template(f"{template}.jinja").render(subjects)
-    return wrap_columns(text) if template.endswith(C_SUFFIXES) else text
+    return wrap_columns(text) if wraps and template.endswith(C_SUFFIXES) else text
 
 
 @lru_cache(maxsize=2)
@@ -138,6 +142,7 @@ def _environment(precision: Precision) -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
         autoescape=False,
+        auto_reload=False,
         extensions=[_Literals] if precision == "single" else [],
     )
     environment.filters.update(

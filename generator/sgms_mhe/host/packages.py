@@ -7,7 +7,7 @@ import json
 import threading
 from typing import Final
 
-from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.emission.package import Package, emit_model, emit_package
 from sgms_mhe.host.provenance import digest_of_sources
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
@@ -18,15 +18,16 @@ SYMBOLIC: Final = threading.RLock()
 
 
 def cached_package(machine: Machine, model: Model | None = None) -> Package:
-    """The machine's package, from the cache of compiled libraries where it was emitted before; `model`: if known.
+    """The machine's package, or of a model what runs it alone, from the cache where it was emitted before.
 
     Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
     """
     sources = digest_of_sources(effect.name for effect in machine.effects)
     key = hashlib.sha256(f"{machine.digest} {sources}".encode()).hexdigest()
-    kept = cache.read("package", key, ".json")
+    stem = "package" if model is None else "model"
+    kept = cache.read(stem, key, ".json")
     if kept is not None:
         return Package(machine, json.loads(kept))
-    package = emit_package(machine, model, selftest=False)
-    cache.keep("package", key, ".json", json.dumps(dict(package.files)).encode())
+    package = emit_package(machine, selftest=False) if model is None else emit_model(model)
+    cache.keep(stem, key, ".json", json.dumps(dict(package.files)).encode())
     return package
