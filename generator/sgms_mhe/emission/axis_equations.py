@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
@@ -13,6 +14,7 @@ from sgms_mhe.emission.c_source import CPrinter
 from sgms_mhe.emission.graph import Graph, Node
 from sgms_mhe.machine import Machine, ResolvedEffect
 from sgms_mhe.model import SIGNAL_NAMES, Model, build_model
+from sgms_mhe.model.building import plain_force
 from sgms_mhe.model.effects import effect_definition
 
 _CONTINUOUS_RATE: Final = 1e9
@@ -120,36 +122,31 @@ def axis_model(machine: Machine) -> AxisModel:
     return AxisModel(build_model(replace(continuous, effects=kept), physical=True), measured)
 
 
-def plain_force(machine: Machine, effect: ResolvedEffect) -> tuple[float, float, float, float] | None:
-    """Return an effect's force as (c, k, s, b) of c + k q + s sin q + b cos q + m a; None where it is anything else.
+def find_place_force(machine: Machine, effect: ResolvedEffect) -> tuple[float, ...] | None:
+    """Return (c, k, s, b, A, w, p) of an effect's force c + k q + s sin q + b cos q + A sin(w q + p) + m a.
 
-    Sines are of a joint that turns. It is told by the force itself at drawn motions, with the effect and without. The
-    inertia m is in `AxisModel.inertia`.
+    Sines without a wave number are of a joint that turns; None where the force is anything else. It is told by the
+    force itself at drawn motions. The inertia m is in `AxisModel.inertia`.
     """
-    definition = effect_definition(effect.name)
-    if definition.stage != "force" or definition.states:
+    plain = plain_force(replace(machine, effects=(effect,)), effect.label)
+    if plain is None:
         return None
-    outputs = []
-    for effects in ((effect,), ()):
-        model = axis_model(replace(machine, effects=effects)).model
-        nominal = [parameter.nominal for parameter in model.parameters]
-        outputs.append((ca.Function("force", [model.chi, model.w, model.theta], [model.output]), nominal))
-    random = np.random.default_rng(1)
-    w, found = random.standard_normal((40, 5)), []
-    w[:, 0] *= 3.0
-    for signals in w:
-        chi = random.uniform(-0.5, 0.5, machine.friction.n_z)
-        with_effect, without = (float(force(chi, signals, nominal)) for force, nominal in outputs)
-        found.append(with_effect - without)
+    slope = ca.jacobian(plain.force, plain.w)[0]
+    bend = ca.jacobian(ca.jacobian(slope, plain.w)[0], plain.w)[0]
+    force = ca.Function("force", [plain.w, plain.theta], [plain.force, slope, bend])
+    w = np.random.default_rng(1).standard_normal((40, 5)) * [3.0, 1.0, 1.0, 1.0, 1.0]
+    found, first, third = np.array([[float(x) for x in force(row, np.ones(plain.theta.numel()))] for row in w]).T
     q, turns = w[:, 0], machine.plant.kind == "rotary"
-    columns = np.column_stack([w[:, 2], np.ones(len(q)), q, *((np.sin(q), np.cos(q)) if turns else ())])
-    sizes, *_ = np.linalg.lstsq(columns, found, rcond=None)
-    least = 1e-9 * max(np.abs(found).max(), machine.friction.coulomb)  # rounding
-    if np.abs(columns @ sizes - found).max() > least:
-        return None
-    sizes[np.abs(sizes) < least] = 0.0
-    c, k, s, b = (*map(float, sizes[1:]), 0.0, 0.0)[:4]
-    return c, k, s, b
+    wave = float(np.sqrt(max(-(first @ third), 0.0) / (first @ first or 1.0)))
+    none = np.zeros(len(q))
+    for ripple in ((none, none), (np.sin(wave * q), np.cos(wave * q))):
+        columns = np.column_stack([w[:, 2], none + 1.0, q, *((np.sin(q), np.cos(q)) if turns else (none, none)), *ripple])
+        sizes, *_ = np.linalg.lstsq(columns, found, rcond=None)
+        least = 1e-9 * max(np.abs(found).max(), machine.friction.coulomb)  # rounding
+        if np.abs(columns @ sizes - found).max() <= least:
+            _, *place, sine, cosine = np.where(np.abs(sizes) < least, 0.0, sizes).tolist()
+            return *place, math.hypot(sine, cosine), wave, math.atan2(cosine, sine)
+    return None
 
 
 def _is_measurement(machine: Machine, effect: ResolvedEffect) -> bool:

@@ -10,12 +10,13 @@ from functools import partial
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.emission.axis_equations import MODELICA, SIMSCAPE, Language, axis_model, plain_force, print_equations
+from sgms_mhe.emission.axis_equations import MODELICA, SIMSCAPE, Language, axis_model, find_place_force, print_equations
 from sgms_mhe.emission.rendering import render_text
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES
 from sgms_mhe.model.effects import effect_definition, reported_name
-from sgms_mhe.model.simple import SOLVER_IMPEDANCE, SOLVER_REFERENCE, SimpleAxis
+from sgms_mhe.model.simple import SimpleAxis
+from sgms_mhe.model.sliders import slider_axis
 from sgms_mhe.support.errors import InputError
 
 
@@ -94,8 +95,9 @@ class WrittenAxis:
         content: of the file.
         holds: sentences on what of the axis is in it.
         lost: sentences on what is not.
-        simple: its friction, where that is Coulomb and viscous alone.
+        simple: its friction, where that is not the whole law.
         left_out: labels of effects, and parts of the law beside presliding, that are not in it.
+        apart: labels of effects that are in it, and not in that friction.
         missing: why an archive has no binary; None where it has one, or needs none.
     """
 
@@ -105,6 +107,7 @@ class WrittenAxis:
     lost: tuple[str, ...]
     simple: SimpleAxis | None = None
     left_out: tuple[str, ...] = ()
+    apart: tuple[str, ...] = ()
     missing: str | None = None
 
 
@@ -132,31 +135,39 @@ def _write_numbers(machine: Machine, title: str, form: str, template: str) -> Wr
     return _render(machine, template, title, WrittenAxis(form, b"", holds, ("the equations: docs/model.md has them",)))
 
 
-def _write_simple(machine: Machine, title: str, form: str, template: str, level: str) -> WrittenAxis:
-    """Inertia, Coulomb and viscous friction."""
+def _write_simple(machine: Machine, title: str, form: str, template: str) -> WrittenAxis:
+    """Inertia, friction as far as rigid bodies have it, and forces of place."""
     units, friction = machine.plant.units, machine.friction
-    held = {effect.label: plain_force(machine, effect) for effect in machine.effects}
-    if form == "urdf":  # a mass off the axis, and no spring or offset
-        held = {label: sizes if sizes and not any(sizes[:2]) else None for label, sizes in held.items()}
-    sums = [sum(column) for column in zip((0.0,) * 4, *filter(None, held.values()), strict=True)]
-    simple = SimpleAxis(axis_model(machine).inertia, friction.coulomb, friction.viscous, *sums)
+    held = {effect.label: find_place_force(machine, effect) for effect in machine.effects}
+    if form == "urdf":  # a mass off the axis, and no spring, offset or ripple
+        held = {label: sizes if sizes and not any((*sizes[:2], sizes[4])) else None for label, sizes in held.items()}
+    place = [sizes for sizes in held.values() if sizes is not None]
+    sums = [sum(column) for column in zip((0.0,) * 4, *(sizes[:4] for sizes in place), strict=True)]
+    ripples = tuple((size, wave, phase) for *_, size, wave, phase in place if size)
+    stribeck = (0.0, 1.0) if form == "urdf" else (friction.stribeck_ratio, friction.stribeck_velocity)
+    simple = SimpleAxis(axis_model(machine).inertia, friction.coulomb, friction.viscous, *stribeck, *sums, ripples)
     if simple.inertia <= 0.0:
         raise InputError(machine.source, units.inert, simple.inertia, "effects that leave a positive part of it")
     holds = [f"{units.inert} with what effects add to it, Coulomb level, viscous damping"]
-    if inside := tuple(label for label, sizes in held.items() if sizes is not None):
+    inside = tuple(label for label, sizes in held.items() if sizes is not None)
+    if inside:
         holds.append(f"the effects {', '.join(inside)}, whole: they go with position or acceleration alone")
-    lost = [level, f"the {friction.n_z} Maxwell-slip elements: stiffness and hysteresis before break-away"]
-    if left_out := tuple(label for label, sizes in held.items() if sizes is None):
-        lost.append(f"the effects {', '.join(left_out)}, but for what they add to the {units.inert}")
-    if friction.stribeck_ratio != 0.0:
-        lost.append(f"the {STRIBECK}, {100.0 * friction.stribeck_ratio:g} % of the level near standstill")
-        left_out += (STRIBECK,)
-    if any(friction.micro_viscous):
-        lost.append(f"the {MICRO_VISCOUS} of the elements")
-        left_out += (MICRO_VISCOUS,)
-    solver = {"reference": SOLVER_REFERENCE, "impedance": SOLVER_IMPEDANCE}
-    written = WrittenAxis(form, b"", tuple(holds), tuple(lost), simple, left_out)
-    return _render(machine, template, title, written, simple=simple, solver=solver, step=machine.sampling.step)
+    left_out = tuple(label for label, sizes in held.items() if sizes is None)
+    lost = [f"the effects {', '.join(left_out)}, but for what they add to the {units.inert}"] if left_out else []
+    if form == "mujoco":
+        simple = slider_axis(friction, machine.sampling.step, simple)
+        holds.append(f"the {friction.n_z} Maxwell-slip elements as springs to sliders with LuGre friction, the {STRIBECK}")
+        lost.append("exact corners where elements begin to slip: LuGre friction rounds them, fitted to the law's reversal")
+    else:
+        lost += [_SIGN, f"the {friction.n_z} Maxwell-slip elements: stiffness and hysteresis before break-away"]
+        if friction.stribeck_ratio != 0.0:
+            lost.append(f"the {STRIBECK}, {100.0 * friction.stribeck_ratio:g} % of the level near standstill")
+            left_out += (STRIBECK,)
+        if any(friction.micro_viscous):
+            lost.append(f"the {MICRO_VISCOUS} of the elements")
+            left_out += (MICRO_VISCOUS,)
+    written = WrittenAxis(form, b"", tuple(holds), tuple(lost), simple, left_out, inside)
+    return _render(machine, template, title, written, simple=simple)
 
 
 _SIGNALS: Final[Mapping[str, tuple[str, ...]]] = {"modelica": SIGNAL_NAMES, "simscape": ("q", "v", "a", "u", "t")}
@@ -188,8 +199,7 @@ def _write_equations(machine: Machine, title: str, form: str, template: str, lan
 
 
 Writer = Callable[[Machine, str], WrittenAxis]
-_CREEP = "rest: below its level frictionloss is a damper, so a held axis creeps"
-_SIGN = "rest: the format names no law at standstill, and every simulator rounds the switch off in its own way"
+_SIGN: Final = "rest: the format names no law at standstill, and every simulator rounds the switch off in its own way"
 
 
 @dataclass(frozen=True)
@@ -206,8 +216,8 @@ class Form:
 
 
 TEXT_FORMS: Final[Mapping[str, Form]] = {
-    "mujoco": Form((".xml", ".mjcf"), partial(_write_simple, form="mujoco", template="mujoco.xml", level=_CREEP)),
-    "urdf": Form((".urdf", ".xml"), partial(_write_simple, form="urdf", template="urdf.xml", level=_SIGN)),
+    "mujoco": Form((".xml", ".mjcf"), partial(_write_simple, form="mujoco", template="mujoco.xml")),
+    "urdf": Form((".urdf", ".xml"), partial(_write_simple, form="urdf", template="urdf.xml")),
     "modelica": Form((".mo",), partial(_write_equations, form="modelica", template="axis.mo", language=MODELICA)),
     "simscape": Form((".ssc",), partial(_write_equations, form="simscape", template="axis.ssc", language=SIMSCAPE)),
     "csv": Form((".csv",), partial(_write_numbers, form="csv", template="numbers.csv")),

@@ -14,7 +14,6 @@ from sgms_mhe.emission.axis_equations import axis_model
 from sgms_mhe.emission.axis_forms import MICRO_VISCOUS, STRIBECK, WrittenAxis
 from sgms_mhe.evaluation.prediction import predict_signals
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.simple import simple_friction
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log, align_velocity
 
@@ -99,9 +98,9 @@ def form_error(machine: Machine, written: WrittenAxis, log: Log) -> FormError | 
             held = simple.inertia - axis_model(_without(stepped, (part,))).inertia
             lost[part] = forces[part] - held * signals.acceleration
         place = simple.place_force(signals.position)
-        own = simple_friction(written.form, simple, signals.velocity, signals.force - place)
+        own = simple.friction(signals.velocity, signals.force - place, machine.sampling.step)
         friction = own + place + (simple.inertia - machine.plant.moved) * signals.acceleration
-        law = friction_without((STRIBECK, MICRO_VISCOUS, *(effect.label for effect in machine.effects)))
+        law = friction_without((*left_out, *written.apart))
         forces[PRESLIDING], lost[PRESLIDING] = law - simple.viscous * signals.velocity, law - own
     valid = signals.valid & np.isfinite(friction) & np.isfinite(model)
 
