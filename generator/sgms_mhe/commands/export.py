@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
+
+import click
 
 from sgms_mhe.commands import common
 from sgms_mhe.commands.options import make_command
+from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
@@ -15,30 +18,40 @@ if TYPE_CHECKING:
 
 @make_command(
     "export etel_xy --to mujoco --out axis.xml --log measured.csv",
-    "export etel_xy --to fmu3 --out axis.fmu",
+    "export etel_xy --to sinamics-table --range 0.0005 0.2 --out friction.txt",
+    "export etel_xy --log measured.csv",
     of="exporting.export",
 )
 def command(
     machine: Machine,
     *,
-    to: Annotated[str, Option("FORM")],
-    out: Path,
+    to: Annotated[str, Option("FORM")] = "all",
+    out: Path | None = None,
     log: Annotated[Path | None, Option("LOG")] = None,
     json: bool = False,
+    **options: Any,
 ) -> None:
-    """Write MACHINE's axis for another simulator.
+    """Write MACHINE's axis for another simulator, or its friction for a drive.
 
     Says what the form holds and what is lost. With --log also the error that a simpler form makes: its friction minus
-    that of MACHINE's own model along the motion in LOG, and the part of it that each lost force has.
+    that of MACHINE's own model along the motion in LOG, and the part of it that each lost force has. Without --to that
+    error of every form.
 
     Args:
         log: log along which the error of a simpler form, and each force that it loses, is measured.
     """
     from sgms_mhe.api import exporting
 
+    if to == "all":
+        if out is not None or log is None:
+            raise InputError("export", "--to", None, "a form and --out, or --log alone for the error of each")
+        common.show(_compare_forms(machine, log))
+        return
+    if out is None:
+        raise click.UsageError("Missing option '--out'.")
     common.check_output_file(out, exporting.find_form(to).suffixes)
     with common.progress_bar(f"export {machine.name}"):
-        exported = exporting.export(machine, to, out, log=log, note=common.note)
+        exported = exporting.export(machine, to, out, log=log, note=common.note, **options)
     if exported.missing is not None:
         common.note(f"{out}: sources without a binary: {exported.missing}")
     units, error = machine.plant.units, exported.error
@@ -64,3 +77,22 @@ def command(
     elif log is not None:
         lines.append("error: none, no force of the axis is left out")
     common.show("\n".join(lines), out)
+
+
+def _compare_forms(machine: Machine, log: Path) -> str:
+    """Return the error of each form along a log, one a line."""
+    from sgms_mhe.api import exporting
+
+    source, lines = exporting.recorded_log(log, machine, note=common.note), []
+    for form in exporting.FORMS:
+        options = {"points": 20} if form == "csv" else {}
+        try:
+            error = exporting.export(machine, form, log=source, **options).error
+        except InputError as refusal:
+            lines.append(f"{form}: refused, {refusal.allowed}")
+            continue
+        size = (
+            error and f"{error.rms:.3g} {machine.plant.units.force} rms, {100.0 * error.relative:.3g} % of the friction"
+        )
+        lines.append(f"{form}: {size or 'none'}")
+    return "\n".join(lines)

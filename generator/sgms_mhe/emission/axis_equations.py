@@ -140,7 +140,9 @@ def find_place_force(machine: Machine, effect: ResolvedEffect) -> tuple[float, .
     wave = float(np.sqrt(max(-(first @ third), 0.0) / (first @ first or 1.0)))
     none = np.zeros(len(q))
     for ripple in ((none, none), (np.sin(wave * q), np.cos(wave * q))):
-        columns = np.column_stack([w[:, 2], none + 1.0, q, *((np.sin(q), np.cos(q)) if turns else (none, none)), *ripple])
+        columns = np.column_stack(
+            [w[:, 2], none + 1.0, q, *((np.sin(q), np.cos(q)) if turns else (none, none)), *ripple]
+        )
         sizes, *_ = np.linalg.lstsq(columns, found, rcond=None)
         least = 1e-9 * max(np.abs(found).max(), machine.friction.coulomb)  # rounding
         if np.abs(columns @ sizes - found).max() <= least:
