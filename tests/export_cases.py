@@ -19,8 +19,20 @@ from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
 
-FORMS = ("mujoco", "urdf", "modelica", "simscape", "csv", "matlab", "fmu2", "fmu3")
-SUFFIX = dict(zip(FORMS, (".xml", ".urdf", ".mo", ".ssc", ".csv", ".m", ".fmu", ".fmu"), strict=True))
+SUFFIX = {
+    "mujoco": ".xml",
+    "urdf": ".urdf",
+    "modelica": ".mo",
+    "simscape": ".ssc",
+    "csv": ".csv",
+    "matlab": ".m",
+    "twincat-table": ".lis",
+    "sinamics-table": ".txt",
+    "fmu2": ".fmu",
+    "fmu3": ".fmu",
+}
+FORMS = tuple(SUFFIX)
+"""Of an axis of either kind."""
 BASES = ("etel_xy", "etel_xy_switching", "etel_xy_rotary")
 OF_MEASUREMENT = ("encoder_periodic_error", "force_delay", "force_gain")
 MOTION = ("position", "velocity", "acceleration")

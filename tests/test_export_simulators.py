@@ -71,7 +71,7 @@ def moved_friction(model: Any, velocity: Any) -> Any:
 
 @pytest.mark.parametrize("base", BASES)
 def test_slow_motion_in_mujoco_has_the_friction_of_the_law(base: str) -> None:
-    """Small reversals at some mm/s, within and beyond break-away: run in MuJoCo, beside the law and the stated error."""
+    """Small reversals at some mm/s, within and beyond break-away, run in MuJoCo beside the law and the stated error."""
     machine = machine_with(base=base)
     time = np.arange(20000) * machine.sampling.step
     velocity = sum(

@@ -88,7 +88,7 @@ def export(
         to: one of mujoco, urdf, bam, modelica, simscape, csv, matlab, twincat-table, sinamics-table, fmu2, fmu3.
         out: the file; its name without suffix is that of the model in it; None: write nothing.
         log: file, Log or DataFrame, along which the error of a simpler form is measured.
-        points: points of friction over speed, which csv then has instead of the numbers; None: as many as the drive has.
+        points: of friction over speed, which csv then has instead of the numbers; None: as many as the drive has.
         speed_range: slowest and fastest point [m/s, rad/s]; None: v_s / 10 and max_velocity.
         note: called with each sentence on how the log was read.
 

@@ -82,12 +82,12 @@ def command(
 def _compare_forms(machine: Machine, log: Path) -> str:
     """Return the error of each form along a log, one a line."""
     from sgms_mhe.api import exporting
+    from sgms_mhe.api.inputs import recorded_log
 
-    source, lines = exporting.recorded_log(log, machine, note=common.note), []
+    source, lines = recorded_log(log, machine, note=common.note), []
     for form in exporting.FORMS:
-        options = {"points": 20} if form == "csv" else {}
         try:
-            error = exporting.export(machine, form, log=source, **options).error
+            error = exporting.export(machine, form, log=source, points=20 if form == "csv" else None).error
         except InputError as refusal:
             lines.append(f"{form}: refused, {refusal.allowed}")
             continue

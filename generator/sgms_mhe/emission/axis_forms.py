@@ -149,10 +149,11 @@ def _write_simple(machine: Machine, title: str, form: str, template: str) -> Wri
     if form == "bam":  # the pendulum of its logs is all of the load
         held = {label: sizes if sizes and not any(sizes[:5]) else None for label, sizes in held.items()}
     place = [sizes for sizes in held.values() if sizes is not None]
-    sums = [sum(column) for column in zip((0.0,) * 4, *(sizes[:4] for sizes in place), strict=True)]
+    constant, stiffness, sine, cosine = (float(sum(sizes[k] for sizes in place)) for k in range(4))
     ripples = tuple((size, wave, phase) for *_, size, wave, phase in place if size)
-    stribeck = (0.0, 1.0) if form == "urdf" else (friction.stribeck_ratio, friction.stribeck_velocity)
-    simple = SimpleAxis(axis_model(machine).inertia, friction.coulomb, friction.viscous, *stribeck, *sums, ripples)
+    stribeck = (0.0 if form == "urdf" else friction.stribeck_ratio, friction.stribeck_velocity)
+    numbers = (axis_model(machine).inertia, friction.coulomb, friction.viscous, *stribeck)
+    simple = SimpleAxis(*numbers, constant, stiffness, sine, cosine, ripples)
     if simple.inertia <= 0.0:
         raise InputError(machine.source, units.inert, simple.inertia, "effects that leave a positive part of it")
     holds = [f"{units.inert} with what effects add to it, Coulomb level, viscous damping"]

@@ -94,7 +94,7 @@ def form_error(machine: Machine, written: WrittenAxis, log: Log) -> FormError | 
     if simple is None:
         friction = friction_without(left_out)
     else:
-        for part in left_out:
+        for part in left_out if simple.inertia != machine.plant.moved else ():
             held = simple.inertia - axis_model(_without(stepped, (part,))).inertia
             lost[part] = forces[part] - held * signals.acceleration
         place = simple.place_force(signals.position)
