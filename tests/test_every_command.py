@@ -56,7 +56,7 @@ def write_extended(folder: Path, kind: Kind, law: str, names: list[str], *, alon
 def test_each_effect_is_checked_and_exported(name: str, kind: Kind, law: str, tmp_path: Path) -> None:
     path = write_extended(tmp_path, kind, law, [name], alone=law == "switching")
     assert f"effect      {name}: " in done("check", path).stdout
-    for form in ("mujoco", "modelica", "simscape", "matlab"):
+    for form in ("mujoco", "modelica", "simscape", "matlab", "twincat-table"):
         out = tmp_path / f"axis{SUFFIX[form]}"
         assert "holds: " in done("export", path, "--to", form, "--out", out).stdout
         assert out.stat().st_size > 100

@@ -73,7 +73,7 @@ def test_a_joint_in_python(environment: Path, tmp_path: Path) -> None:
     assert said["numbers"]["viscous"] == pytest.approx(0.1, rel=0.1)
     assert said["left"] < 0.2  # a reversal shows up to two steps of the encoder late
     assert (tmp_path / "joint_c").is_dir() and any(name.endswith("_selftest.c") for name in said["files"])
-    assert 'frictionloss="' in said["exported"]
+    assert 'lugre="' in said["exported"]
 
 
 @pytest.mark.slow
