@@ -32,8 +32,6 @@ BINDINGS: Final[Mapping[str, Mapping[str, str]]] = {
     },
 }
 """Templates by file, by the name of the binding; files below one that ends in `.fmu` are those of that archive."""
-_NEVER_RUN: Final = ("iec", "simulink")
-"""Bindings of earlier versions, which were not run in the tools that they were for."""
 
 
 def binding_files(names: Collection[str], machine: str) -> dict[str, str]:
@@ -44,10 +42,8 @@ def binding_files(names: Collection[str], machine: str) -> dict[str, str]:
     """
     for name in names:
         if name not in BINDINGS:
-            hint = did_you_mean(name, BINDINGS)
-            if name in _NEVER_RUN:
-                hint = "; this one is gone, the package's C functions take its place"
-            raise InputError("--bindings", "binding", name, f"one of {', '.join(BINDINGS)}{hint}")
+            allowed = f"one of {', '.join(BINDINGS)}{did_you_mean(name, BINDINGS)}"
+            raise InputError("--bindings", "binding", name, allowed)
     asked = [BINDINGS[name] for name in BINDINGS if name in names]
     return {file.format(name=machine): template for files in asked for file, template in files.items()}
 
