@@ -202,9 +202,9 @@ def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
 
 def renew_columns(terms: Sequence[Term], renewed: Sequence[Term]) -> tuple[Term, ...]:
     """Return terms, those of the level and of its records with the columns that they have among the renewed ones."""
-    found = {(term.name, *term.given.values()): term.columns for term in renewed}
+    found = {(term.name, len(term.places)): term.columns for term in renewed}
     return tuple(
-        replace(term, columns=found[term.name, *term.given.values()][:, : term.columns.shape[1]])
+        replace(term, columns=found[term.name, len(term.places)][:, : term.columns.shape[1]])
         if is_level(term) or term.name == LEVEL_OF_RECORD
         else term
         for term in terms

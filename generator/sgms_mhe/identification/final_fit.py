@@ -346,7 +346,7 @@ def _search_rise(views: Views, fit: AxisFit) -> AxisFit:
 
 def _drop_load_rise(terms: Sequence[Term]) -> tuple[Term, ...]:
     """The terms, those of the level without what they grow by towards low speed."""
-    return tuple(replace(t, columns=t.columns[:, :1]) if is_level(t) else t for t in terms)
+    return tuple(replace(t, columns=t.columns[:, : len(t.places)]) if is_level(t) else t for t in terms)
 
 
 def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
@@ -413,9 +413,9 @@ def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
         trials = [term for term in fit_level_terms(views.fine.rows, fit) if term.name in names]
         bare = replace(fit, terms=beside)
         terms = (*beside, *best_trials(lined, bare, trials))
-        before, given = fit.cross_rms, [term.given for term in fit.terms if is_level(term)]
+        before, given = fit.cross_rms, [term.places for term in fit.terms if is_level(term)]
         fit = fit_axis(lined, terms, fit.shape, iterations=CHOICE_ITERATIONS)
-        same = given == [term.given for term in terms if is_level(term)]
+        same = given == [term.places for term in terms if is_level(term)]
         if same and abs(fit.cross_rms - before) <= SETTLED * before:
             break
     return fit

@@ -54,6 +54,8 @@ class Term:
         positive: whether the coefficients are at least 0; otherwise free in sign.
         deviation: of a prior about 0, in the coefficients' units; inf: none.
         given: numbers of an effect that its columns are not linear in.
+        places: of an effect of the level the same, of each place that it acts at: as many columns, and as many more
+            where it grows towards low speed.
         noise: variance of noise in the columns [their unit squared]; the measured friction holds -`known` times it.
         known: size that the measured friction has taken off already [coefficients' unit].
     """
@@ -63,6 +65,7 @@ class Term:
     positive: bool = False
     deviation: float = math.inf
     given: Mapping[str, float] = field(default_factory=dict)
+    places: tuple[Mapping[str, float], ...] = ({},)
     noise: float = 0.0
     known: float = 0.0
 
@@ -178,8 +181,8 @@ def level_terms(
         transmitted: torque that the drive transmits (m) [N m].
         sliding: force of the elements over the level that they slip at now, -1 to 1 (m).
         rise: of the level towards low speed, in which they share; None: none.
-        known: of a fit, for effects that are linear, and for trials of what an effect's columns are not linear in;
-            None: of the others the first trial alone.
+        known: of a fit, for effects that are linear, and for all places that others may act at, beside the first alone;
+            None: the first alone.
     """
     motion, terms = _motion(rows, transmitted, sliding), []
     if known is not None:
@@ -192,12 +195,14 @@ def level_terms(
         if definition.linear:
             terms += [Term(definition.name, search.columns(own, {}))] if known is not None else []
             continue
-        for given in search.variants(motion) if known is not None else ({},):
-            columns = np.abs(sliding)[:, None] * search.columns(motion, given)
+        several = tuple(search.places(motion)) if known is not None else ()
+        for places in [({},), several] if several else [({},)]:
+            columns = np.column_stack([search.columns(motion, place) for place in places])
+            columns *= np.abs(sliding)[:, None]
             if rise is not None and search.rise:
                 share = np.exp(-((rows.velocity / rise.velocity) ** 2))
-                columns = np.column_stack((columns, share * columns[:, 0]))
-            terms.append(Term(definition.name, columns, positive=True, given=given))
+                columns = np.column_stack((columns, share[:, None] * columns))
+            terms.append(Term(definition.name, columns, positive=True, places=places))
     return tuple(terms)
 
 
@@ -221,10 +226,22 @@ def effect_parameters(term: Term, sizes: Array) -> dict[str, float]:
     search = definition.search
     if not isinstance(search, Columns):
         return {}
-    if definition.stage != "level" or not search.rise:
+    if definition.stage != "level":
         return dict(search.parameters(term.given, sizes))
-    rise = {search.rise: float(sizes[1])} if len(sizes) > 1 else {}
-    return {**search.parameters(term.given, sizes[:1]), **rise}
+    width = len(term.places)
+    weights = np.sum(np.split(sizes, np.arange(width, len(sizes), width)), axis=0)
+    found = search.parameters(_mean_place(term.places, weights), np.array([sizes[:width].sum()]))
+    return {**found, **({search.rise: float(sizes[width:].sum())} if len(sizes) > width else {})}
+
+
+def _mean_place(places: Sequence[Mapping[str, float]], weights: Array) -> dict[str, float]:
+    """Return the numbers of the one place that does as several do of these weights (k).
+
+    Of torques that all point the same way the sum of their sizes is the size of their sum.
+    """
+    if not weights.any():
+        return dict(places[0])
+    return {name: float(np.average([place[name] for place in places], weights=weights)) for name in places[0]}
 
 
 def is_within_limits(term: Term, sizes: Array) -> bool:

@@ -22,6 +22,11 @@ Grid = Callable[[MotionRecord], Sequence[Values]]
 """Trial values of what an effect is not linear in, from the record that is searched."""
 
 
+def no_places(_: MotionRecord) -> Sequence[Values]:
+    """No numbers but those that are not given."""
+    return ()
+
+
 def no_grid(_: MotionRecord) -> Sequence[Values]:
     """One trial: an effect that is linear in everything."""
     return ({},)
@@ -43,7 +48,8 @@ class Columns:
         tests: how many independent trials the grid amounts to.
         own_size: the given number that the size must come out as: a lag is its own size. Of two trials that explain as
             much the one whose size agrees with it counts.
-        variants: the numbers that an identification from nothing tries, none given first; a diagnosis tries that alone.
+        places: given numbers between which an identification from nothing looks for the axis's where none given do not
+            do: sizes that act together come out as one at the mean of their places. A diagnosis has none given alone.
         rise: of a contribution to the level the size, if any, by which it grows towards low speed as the Stribeck
             effect does: its force per unit is that of the column times that effect's share.
         exact: the size whose column is taken from the model's own derivative in the end, where `columns` are rough: a
@@ -56,7 +62,7 @@ class Columns:
     tests: float = 1.0
     own_size: str | None = None
     exact: str | None = None
-    variants: Grid = no_grid
+    places: Grid = no_places
     rise: str = ""
     costly: ClassVar[bool] = False
 
