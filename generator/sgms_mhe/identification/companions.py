@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +22,9 @@ from sgms_mhe.identification.terms import (
     is_friction,
     is_level,
     is_within_limits,
+    level_sizes,
     level_terms,
+    mean_place,
     place_curve,
     transmitted_force,
 )
@@ -162,10 +164,15 @@ def _has_limit(name: str, excited: Collection[str]) -> bool:
     return any(limit in excited for limit in effect_definition(name).simpler.causes)
 
 
-def fit_level_terms(rows: Recording, fit: AxisFit, sliding: Array | None = None) -> tuple[Term, ...]:
-    """Return the effects of the level of a fit, with all trials of what they are not linear in.
+def fit_level_terms(
+    rows: Recording,
+    fit: AxisFit,
+    sliding: Array | None = None,
+    places: Mapping[str, tuple[Mapping[str, float], ...]] | None = None,
+) -> tuple[Term, ...]:
+    """Return the effects of the level along a fit, at no given place and at all of them.
 
-    `sliding`: as of `level_terms`; None: the fit's.
+    `sliding`, `places`: as of `level_terms`; None: the fit's, and all.
     """
     moved = rows.machine.plant.moved + float(fit.coefficient("mass").sum())
     beside = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if is_friction(t))
@@ -176,7 +183,20 @@ def fit_level_terms(rows: Recording, fit: AxisFit, sliding: Array | None = None)
         fit.sliding(rows.velocity) if sliding is None else sliding,
         fit.shape.rise,
         KnownFriction(elements + beside, elements, moved),
+        places,
     )
+
+
+def unstated_friction(rows: Recording, fit: AxisFit) -> Array:
+    """Return the friction (m) [N] that effects at several places have beyond that of a file: at their mean."""
+    several = [term for term in fit.terms if len(term.places) > 1]
+    sizes = {term.name: fit.coefficient(term.name) for term in several}
+    places = {term.name: (mean_place(term, sizes[term.name]),) for term in several}
+    more = np.zeros(len(rows.time))
+    for term, mean in zip(several, fit_level_terms(rows, fit, places=places), strict=True):
+        own = level_sizes(term, sizes[term.name])
+        more += term.columns @ sizes[term.name] - mean.columns[:, : len(own)] @ own
+    return more
 
 
 def carry_load(view: RecordView, fit: AxisFit) -> RecordView:

@@ -171,6 +171,7 @@ def level_terms(
     sliding: Array,
     rise: Stribeck | None,
     known: KnownFriction | None = None,
+    places: Mapping[str, tuple[Mapping[str, float], ...]] | None = None,
 ) -> tuple[Term, ...]:
     """Effects that are looked for in the level of friction: what it grows with is known once load and mass are.
 
@@ -181,28 +182,30 @@ def level_terms(
         transmitted: torque that the drive transmits (m) [N m].
         sliding: force of the elements over the level that they slip at now, -1 to 1 (m).
         rise: of the level towards low speed, in which they share; None: none.
-        known: of a fit, for effects that are linear, and for all places that others may act at, beside the first alone;
-            None: the first alone.
+        known: of a fit, for effects that are linear, and for all places that others may act at, beside none given;
+            None: none given alone.
+        places: where effects act, by their names; others are left out. None: as `known` has it.
     """
     motion, terms = _motion(rows, transmitted, sliding), []
     if known is not None:
-        own = replace(motion, velocity=rows.velocity, level=known.elements)
+        apart = replace(motion, velocity=rows.velocity, level=known.elements)
         force = transmitted + known.friction
         motion = replace(motion, force=force, level=known.friction, mass=known.inertia)
     for definition, search in _companions(rows):
         if definition.stage != "level":
             continue
         if definition.linear:
-            terms += [Term(definition.name, search.columns(own, {}))] if known is not None else []
+            terms += [Term(definition.name, search.columns(apart, {}))] if known is not None else []
             continue
         several = tuple(search.places(motion)) if known is not None else ()
-        for places in [({},), several] if several else [({},)]:
-            columns = np.column_stack([search.columns(motion, place) for place in places])
+        tried = [({},), several] if several else [({},)]
+        for own in tried if places is None else [places[name] for name in places if name == definition.name]:
+            columns = np.column_stack([search.columns(motion, place) for place in own])
             columns *= np.abs(sliding)[:, None]
             if rise is not None and search.rise:
                 share = np.exp(-((rows.velocity / rise.velocity) ** 2))
                 columns = np.column_stack((columns, share[:, None] * columns))
-            terms.append(Term(definition.name, columns, positive=True, places=places))
+            terms.append(Term(definition.name, columns, positive=True, places=own))
     return tuple(terms)
 
 
@@ -228,20 +231,25 @@ def effect_parameters(term: Term, sizes: Array) -> dict[str, float]:
         return {}
     if definition.stage != "level":
         return dict(search.parameters(term.given, sizes))
-    width = len(term.places)
-    weights = np.sum(np.split(sizes, np.arange(width, len(sizes), width)), axis=0)
-    found = search.parameters(_mean_place(term.places, weights), np.array([sizes[:width].sum()]))
-    return {**found, **({search.rise: float(sizes[width:].sum())} if len(sizes) > width else {})}
+    ratio, *rise = level_sizes(term, sizes)
+    found = search.parameters(mean_place(term, sizes), np.array([ratio]))
+    return {**found, search.rise: float(rise[0])} if rise else dict(found)
 
 
-def _mean_place(places: Sequence[Mapping[str, float]], weights: Array) -> dict[str, float]:
-    """Return the numbers of the one place that does as several do of these weights (k).
+def level_sizes(term: Term, sizes: Array) -> Array:
+    """Return the size of an effect of the level at all places, and by what it grows towards low speed if it does."""
+    return np.asarray(sizes.reshape(-1, len(term.places)).sum(axis=1))
+
+
+def mean_place(term: Term, sizes: Array) -> dict[str, float]:
+    """Return the numbers of the one place that does as several do, by the coefficients of their term.
 
     Of torques that all point the same way the sum of their sizes is the size of their sum.
     """
+    weights = sizes.reshape(-1, len(term.places)).sum(axis=0)
     if not weights.any():
-        return dict(places[0])
-    return {name: float(np.average([place[name] for place in places], weights=weights)) for name in places[0]}
+        return dict(term.places[0])
+    return {name: float(np.average([place[name] for place in term.places], weights=weights)) for name in term.places[0]}
 
 
 def is_within_limits(term: Term, sizes: Array) -> bool:
