@@ -176,7 +176,8 @@ def test_a_mesh_that_carries_friction_biases_neither_gravity_nor_inertia() -> No
     """Friction that drives less than it brakes looks like gravity: where the mesh is, the records tell."""
     arm = Arm(load=0.25, share=0.5)
     found = identify([arm.log(1)], Wanted("arm", elements=2))
-    assert found.number("load_dependent_friction.friction_ratio").value == arm.share  # one of five that are tried
+    within(found, "load_dependent_friction.friction_ratio", arm.share)
+    assert found.stated_rms_N < 1.2 * found.held_out_rms_N  # a file has one mesh, where the fit may have several
     within(found, "mass", arm.inertia)
     within(found, "unbalance.amplitude_N", arm.gravity)
     within(found, "load_dependent_friction.ratio", arm.load)
@@ -362,7 +363,7 @@ def test_load_has_no_rise_where_elements_have_none(monkeypatch: pytest.MonkeyPat
 
     def note(views: Views, terms: Sequence[Term], start: Shape, rounds: int = 2) -> AxisFit:
         if start.rise is None:
-            seen.extend(term.columns.shape[1] for term in terms if is_level(term))
+            seen.extend(term.columns.shape[1] // len(term.places) for term in terms if is_level(term))
         return fit_aligned(views, terms, start, rounds)
 
     monkeypatch.setattr(final_fit, "fit_aligned", note)

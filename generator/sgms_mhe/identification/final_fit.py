@@ -480,12 +480,12 @@ def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, NumberEstimate], g
     viscous, mass = numbers["viscous"], numbers["mass"]
     dropped = set() if viscous.value > SHOWN * viscous.std else {"viscous"}
     for term in fit.terms:
-        sizes, place = fit.coefficient(term.name), fit.place(term.name)
-        unsure = np.all(np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place])))
+        sizes, place, count = fit.coefficient(term.name), fit.place(term.name), len(term.places)
+        total = np.kron(np.eye(len(sizes) // count), np.ones(count))  # of several places the sum is known first
+        unsure = np.all(np.abs(total @ sizes) <= SHOWN * np.sqrt(np.diag(total @ cov[place, place] @ total.T)))
         if term.name not in LAW_AND_SAMPLING and (unsure or not is_within_limits(term, sizes)):
             dropped.add(term.name)
-    total = None if given_mass is None else replace(mass, value=given_mass + mass.value)
-    if given_mass is not None and total is not None and not contradicts_mass(given_mass, total):
+    if given_mass is not None and not contradicts_mass(given_mass, replace(mass, value=given_mass + mass.value)):
         dropped.add("mass")
     return dropped
 

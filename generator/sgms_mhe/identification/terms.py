@@ -192,14 +192,14 @@ def level_terms(
         force = transmitted + known.friction
         motion = replace(motion, force=force, level=known.friction, mass=known.inertia)
     for definition, search in _companions(rows):
-        if definition.stage != "level":
+        if definition.stage != "level" or (places is not None and definition.name not in places):
             continue
         if definition.linear:
             terms += [Term(definition.name, search.columns(apart, {}))] if known is not None else []
             continue
         several = tuple(search.places(motion)) if known is not None else ()
         tried = [({},), several] if several else [({},)]
-        for own in tried if places is None else [places[name] for name in places if name == definition.name]:
+        for own in tried if places is None else [places[definition.name]]:
             columns = np.column_stack([search.columns(motion, place) for place in own])
             columns *= np.abs(sliding)[:, None]
             if rise is not None and search.rise:
