@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from sgms_bench.measured.motions import MotionOutcome, run_motion, table_of_motions
 from sgms_bench.measured.running import MeasuredTally, run_table
 from sgms_bench.measured.table import MeasuredTable, read_table
 from sgms_mhe.support.errors import InputError
@@ -26,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--halves", action="store_true", help="diagnose the compared stretch too, and compare numbers")
     chosen = parser.parse_args(arguments)
     tally = MeasuredTally()
+    motions: list[MotionOutcome] = []
 
     def tell(sentence: str) -> None:
         sys.stderr.write(f"{sentence}\n")
@@ -38,10 +40,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         records = tuple(record for record in table.records if chosen.only is None or chosen.only in record.name)
         for outcome in run_table(MeasuredTable(records, table.folder), halves=chosen.halves):
             tally.add(outcome, tell)
+        for motion in table.motions:
+            if chosen.only is None or chosen.only in motion.name:
+                motions.append(run_motion(table, motion))
+                tell(f"{motion.name}: {motions[-1].ours:.4g} {motions[-1].unit} ({motions[-1].seconds:.0f} s)")
     except InputError as error:
         tell(f"error: {error}")
         return 2
-    for shown in tally.tables():
+    tables = tally.tables() if tally.outcomes else []
+    for shown in [*tables, *([table_of_motions(motions)] if motions else [])]:
         sys.stdout.write(f"{shown}\n")
     return 0
 

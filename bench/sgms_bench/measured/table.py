@@ -5,9 +5,9 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sgms_mhe.support.errors import InputError
 
@@ -73,10 +73,40 @@ class MeasuredRecord(BaseModel):
         return self.begin or (("start", "identify") if self.machine is None else ("file",))
 
 
+class MeasuredMotion(BaseModel):
+    """One entry `[[motions]]`: a commanded axis, judged by the motion that its commands make.
+
+    Attributes:
+        name: of the row.
+        logs: pattern of the files that are fitted.
+        other: pattern of those that they are compared on: the same runs again, in the same order.
+        published: mean absolute errors of others by name [m, rad].
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    logs: str
+    other: str
+    published: dict[str, float] = Field(default_factory=dict)
+
+
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    records: Annotated[tuple[MeasuredRecord, ...], Field(min_length=1)]
+    records: tuple[MeasuredRecord, ...] = ()
+    motions: tuple[MeasuredMotion, ...] = ()
+
+    @property
+    def entries(self) -> tuple[MeasuredRecord | MeasuredMotion, ...]:
+        """All rows."""
+        return (*self.records, *self.motions)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not self.records and not self.motions:
+            raise ValueError("at least one of [[records]] or [[motions]]")
+        return self
 
 
 @dataclass(frozen=True)
@@ -86,11 +116,13 @@ class MeasuredTable:
     Attributes:
         records: whose files the folder has.
         folder: that their paths begin at.
+        motions: of commanded axes, likewise.
         absent: names of public records whose files it does not have.
     """
 
     records: tuple[MeasuredRecord, ...]
     folder: Path
+    motions: tuple[MeasuredMotion, ...] = ()
     absent: tuple[str, ...] = ()
 
     def locate(self, name: str) -> Path:
@@ -111,23 +143,26 @@ def read_table(data: Path, table: Path | None = None) -> MeasuredTable:
     path = table or data / TABLE_NAME
     if table is None and not path.is_file():
         return _read_public(data)
-    records = _read_records(path)
-    for record in records:
+    content = _read_content(path)
+    for record in content.entries:
         for name in _missing(record, data):
             raise InputError(path, f"{record.name}: log", name, f"a file in {data}")
-    return MeasuredTable(records, data)
+    return MeasuredTable(content.records, data, content.motions)
 
 
 def _read_public(data: Path) -> MeasuredTable:
-    records = _read_records(PUBLIC)
-    found = tuple(record for record in records if not _missing(record, data))
-    if not found:
-        wanted = f"{TABLE_NAME}, or files of public records ({', '.join(sorted({r.log for r in records}))})"
+    content = _read_content(PUBLIC)
+    records = tuple(record for record in content.records if not _missing(record, data))
+    motions = tuple(motion for motion in content.motions if not _missing(motion, data))
+    if not records and not motions:
+        files = {*(r.log for r in content.records), *(m.logs for m in content.motions)}
+        wanted = f"{TABLE_NAME}, or files of public records ({', '.join(sorted(files))})"
         raise InputError(data, "measured records", None, f"{wanted}; TABLE=FILE names another table")
-    return MeasuredTable(found, data, tuple(record.name for record in records if record not in found))
+    absent = tuple(one.name for one in content.entries if _missing(one, data))
+    return MeasuredTable(records, data, motions, absent)
 
 
-def _read_records(path: Path) -> tuple[MeasuredRecord, ...]:
+def _read_content(path: Path) -> _Table:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError:
@@ -135,17 +170,19 @@ def _read_records(path: Path) -> tuple[MeasuredRecord, ...]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(path, "content", None, f"TOML: {error}") from None
     try:
-        records = _Table.model_validate(content).records
+        table = _Table.model_validate(content)
     except ValidationError as error:
         raise _refusal(path, error) from None
-    for record in records:
+    for record in table.records:
         if "file" in record.begin and record.machine is None:
             raise InputError(path, f"{record.name}: begin", list(record.begin), "start, identify: there is no machine")
-    return records
+    return table
 
 
-def _missing(record: MeasuredRecord, data: Path) -> list[str]:
+def _missing(record: MeasuredRecord | MeasuredMotion, data: Path) -> list[str]:
     """Return the logs of a record that are no files of the folder."""
+    if isinstance(record, MeasuredMotion):
+        return [pattern for pattern in (record.logs, record.other) if not any(data.glob(pattern))]
     return [name for name in (record.log, record.other) if name is not None and not (data / name).is_file()]
 
 
