@@ -16,10 +16,12 @@ from scipy.io import savemat
 from cli_cases import refused, run
 from sgms_mhe.api.inputs import read_log, read_logs
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.logfiles import text
+from sgms_mhe.logfiles import reading, text
 from sgms_mhe.logfiles.names import is_usual
 from sgms_mhe.logfiles.plausibility import check_plausible
-from sgms_mhe.logfiles.reading import understand
+from sgms_mhe.logfiles.reading import read_table, understand
+from sgms_mhe.logfiles.table import Table
+from sgms_mhe.machine import LogMapping
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -287,7 +289,9 @@ def test_jittery_stamps_with_repeats_are_resampled(count: int, tmp_path: Path) -
     assert found.position_m == pytest.approx(np.interp(found.time_s, log.time_s, log.position_m), abs=5e-3)
 
 
-def test_logs_of_one_axis_are_resampled_to_the_lowest_of_their_rates(tmp_path: Path) -> None:
+def test_logs_of_one_axis_are_resampled_to_the_lowest_of_their_rates(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each by itself goes to its own mean rate, and logs of one call share one."""
     paths = []
     for rate in (500.0, 530.0, 620.0):
@@ -295,7 +299,15 @@ def test_logs_of_one_axis_are_resampled_to_the_lowest_of_their_rates(tmp_path: P
         late = log.time_s + 0.04 / rate * np.random.default_rng(int(rate)).standard_normal(len(log))
         paths.append(write(tmp_path / f"{rate:g}.csv", **{**own(log), "time_s": late}))
     notes: list[str] = []
+    read_tables: list[Path] = []
+
+    def count(path: Path, mapping: LogMapping | None) -> Table:
+        read_tables.append(path)
+        return read_table(path, mapping)
+
+    monkeypatch.setattr(reading, "read_table", count)
     read = read_logs(paths, table={"resample": True}, note=notes.append)
+    assert sorted(map(read_tables.count, paths)) == [1, 2, 2]  # that of the lowest rate is read once
     assert len({log.rate for log in read}) == 1 and read[0].rate == pytest.approx(500.0, rel=1e-3)
     assert len(notes) == 3  # each said once
     assert {log.rate for log in read_logs(paths[2], table={"resample": True, "rate": 400.0})} == {400.0}

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
-
-import numpy as np
 
 from sgms_mhe.api.inputs import LogSource, Note, Progress, load, recorded_log
 from sgms_mhe.configuration import carry_load, override_machine
@@ -97,12 +94,7 @@ def predict(
         axis = override_machine(axis, {"sampling": {"velocity_cutoff": lowpass_Hz}})
     recorded = recorded_log(log, axis, commanded=True, note=note)
     axis = carry_load(axis, recorded.run)
-    motion = run_freely(axis, recorded) if free_run else None
-    if recorded.is_commanded and motion is not None:
-        unknown = np.full(len(recorded), math.nan)
-        found = PredictedFriction(recorded.time_s, unknown, unknown, unknown, recorded.source, recorded.kind, motion)
-        return read_only(found)
-    return read_only(replace(predict_log(axis, recorded), motion=motion))
+    return read_only(predict_log(axis, recorded, run_freely(axis, recorded) if free_run else None))
 
 
 def find_origin(

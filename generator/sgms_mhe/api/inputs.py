@@ -109,9 +109,18 @@ def read_logs(
     Arguments and errors are those of `read_log`.
     """
     sources, table = list_sources(logs), dict(table or {})
-    if machine is None and table.get("resample") and "rate" not in table and len(sources) > 1:
-        table["rate"] = min(read_log(log, table=table, note=lambda _: None).rate for log in sources)
-    return [read_log(log, machine, table=table, note=note) for log in sources]
+    if machine is not None or not table.get("resample") or "rate" in table:
+        return [read_log(log, machine, table=table, note=note) for log in sources]
+    notes: list[list[str]] = [[] for _ in sources]
+    read = [read_log(log, table=table, note=said.append) for log, said in zip(sources, notes, strict=True)]
+    table["rate"] = min((log.rate for log in read), default=None)
+    for k, log in enumerate(read):
+        if log.rate != table["rate"]:
+            notes[k].clear()
+            read[k] = read_log(sources[k], table=table, note=notes[k].append)
+        for sentence in notes[k]:
+            (note or warn_of_log)(sentence)
+    return read
 
 
 def warn_of_log(sentence: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from sgms_mhe.commands import common
 from sgms_mhe.commands.options import make_command
@@ -16,8 +16,6 @@ from sgms_mhe.support.options import Option
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.prediction import PredictedFriction
     from sgms_mhe.machine import Machine
-    from sgms_mhe.recordings.free_run import FreeRun
-    from sgms_mhe.signals.logs import Log
 
 
 @make_command(
@@ -93,23 +91,20 @@ def command(
         motion = None
         if free_run:
             motion = run_freely(machine, recorded, start_s=start_s, end_s=end_s, tolerance_m=tolerance_m)
-        if recorded.is_commanded:
-            _show_motion(machine, recorded, motion, out, plot, json)
-            return False
-        prediction = replace(predict_log(machine, recorded), motion=motion)
+        prediction = predict_log(machine, recorded, motion)
+    write_prediction(out, prediction)
+    if plot is not None:
+        _draw(prediction, plot)
+    units, undetermined = machine.plant.units, found is not None and not found.is_determined
+    result: dict[str, Any] = {"machine": machine.name, "samples": len(prediction.time_s)}
+    said = [] if found is None else [found.describe(units)]
+    if not prediction.is_motion:
+        error = force_error(prediction, start_s=start_s, end_s=end_s, factor=decimate)
         try:
             measured = measure_residual(machine, recorded)
         except InputError:  # too few samples for a diagnosis
             measured = None
-    units, undetermined = machine.plant.units, found is not None and not found.is_determined
-    error = force_error(prediction, start_s=start_s, end_s=end_s, factor=decimate)
-    write_prediction(out, prediction)
-    if plot is not None:
-        _draw(prediction, plot)
-    if json:
-        result = {
-            "machine": machine.name,
-            "samples": len(prediction.time_s),
+        result |= {
             "valid": error.rows,
             "residual_rms_N": error.residual_rms_N,
             "measured_rms_N": error.friction_rms_N,
@@ -117,45 +112,24 @@ def command(
             "force_error": error.relative,
             "residual": None if measured is None else measured.to_json(),
             "origin": None if found is None else found.to_json(),
-            "free_run": None if prediction.motion is None else prediction.motion.to_json(),
         }
-        common.show(common.json_text(units.keyed(result)), out)
-        return undetermined
-    total = len(prediction.time_s)
-    residual = "" if measured is None else f"\n{measured.describe(units)}, as diagnose has them"
-    moved = "" if prediction.motion is None else f"\n{prediction.motion.describe()}"
-    place = "" if found is None else f"{found.describe(units)}\n"
-    common.show(
-        f"{place}"
-        f"measured minus simulated: {error.residual_rms_N:.6g} {units.force} rms over {error.rows} of {total} samples "
-        f"(measured friction: {error.friction_rms_N:.6g} {units.force} rms)\n"
-        f"{units.push} error: {100.0 * error.relative:.3g} % of {error.force_rms_N:.6g} {units.force} rms"
-        f"{residual}{moved}",
-        out,
-    )
+        said += [
+            f"measured minus simulated: {error.residual_rms_N:.6g} {units.force} rms over {error.rows} of "
+            f"{len(prediction.time_s)} samples (measured friction: {error.friction_rms_N:.6g} {units.force} rms)",
+            f"{units.push} error: {100.0 * error.relative:.3g} % of {error.force_rms_N:.6g} {units.force} rms",
+        ]
+        said += [] if measured is None else [f"{measured.describe(units)}, as diagnose has them"]
+    result["free_run"] = None if motion is None else motion.to_json()
+    said += [] if motion is None else [motion.describe()]
+    common.show(common.json_text(units.keyed(result)) if json else "\n".join(said), out)
     return undetermined
-
-
-def _show_motion(machine: Machine, log: Log, motion: FreeRun | None, out: Path, plot: Path | None, json: bool) -> None:
-    """Write and show what a log without a force allows."""
-    from sgms_mhe.evaluation.plots import blank_figure
-    from sgms_mhe.signals.logs import write_columns
-
-    if motion is None:
-        raise InputError(log.source, "column " + log.units.named("force_N"), None, "a force; without one --free-run")
-    write_columns(out, {"time_s": log.time_s, **motion.columns})
-    if plot is not None:
-        figure = blank_figure(4.5)
-        motion.plot(figure.subplots())
-        common.save_figures(plot, {"motion.png": figure})
-    result = {"machine": machine.name, "samples": len(log), "free_run": motion.to_json()}
-    common.show(common.json_text(machine.plant.units.keyed(result)) if json else motion.describe(), out)
 
 
 def _draw(prediction: PredictedFriction, folder: Path) -> None:
     from sgms_mhe.evaluation.plots import blank_figure
 
-    drawings = {"friction.png": prediction.plot} | ({"motion.png": m.plot} if (m := prediction.motion) else {})
+    drawings = {} if prediction.is_motion else {"friction.png": prediction.plot}
+    drawings |= {"motion.png": m.plot} if (m := prediction.motion) else {}
     figures = {name: blank_figure(4.5) for name in drawings}
     for name, draw in drawings.items():
         draw(figures[name].subplots())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,7 +32,8 @@ class PredictedFriction(Shown):
 
     time [s]; measured [N], NaN where it is no measurement; friction [N] of the model at the machine file's parameters,
     which starts with all elements relaxed; drive force [N] behind the same filters; `source` names the log. Of a
-    rotary axis torques [N m]; `kind` says which it is. `motion`: from the force alone, where that was asked for.
+    rotary axis torques [N m]; `kind` says which it is. `motion`: from force or command alone, where that was asked for;
+    of a log without a force it is all, and frictions are NaN.
     """
 
     time_s: Array
@@ -47,8 +48,13 @@ class PredictedFriction(Shown):
     def columns(self) -> dict[str, Array]:
         """Columns (n) of the prediction's file, as this kind of axis names them."""
         names = ("time_s", "friction_measured_N", "friction_N")
-        friction = {OF_KIND[self.kind].named(name): getattr(self, name) for name in names}
+        friction = {OF_KIND[self.kind].named(name): getattr(self, name) for name in names[: 1 if self.is_motion else 3]}
         return friction if self.motion is None else friction | self.motion.columns
+
+    @property
+    def is_motion(self) -> bool:
+        """Return True if no force was recorded: there is no friction to compare."""
+        return bool(np.isnan(self.force_N).all())
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame with the columns of the prediction's file, a row per sample."""
@@ -63,6 +69,8 @@ class PredictedFriction(Shown):
         return axes
 
     def _shown(self) -> Presentation:
+        if self.motion is not None and self.is_motion:
+            return self.motion._shown()
         rest = self.friction_measured_N - self.friction_N
         rms, unit = float(np.sqrt(np.nanmean(rest**2))), OF_KIND[self.kind].force
         size = float(np.nanstd(self.friction_measured_N))
@@ -89,13 +97,20 @@ class ForceError:
         return self.residual_rms_N / self.force_rms_N if self.force_rms_N > 0.0 else math.nan
 
 
-def predict_log(machine: Machine, log: Log) -> PredictedFriction:
-    """Run the model along a log.
+def predict_log(machine: Machine, log: Log, motion: FreeRun | None = None) -> PredictedFriction:
+    """Run the model along a log; `motion`: that it makes, all that there is of a log without a force.
 
     Raises:
         InputError: no sample of the log is a valid measurement of friction.
     """
-    return predict_signals(machine, signals_of_record(align_velocity(log), machine), log.source)
+    if log.is_commanded:
+        if motion is None:
+            raise InputError(
+                log.source, "column " + log.units.named("force_N"), None, "a force; without one --free-run"
+            )
+        return PredictedFriction(log.time_s, log.force_N, log.force_N, log.force_N, log.source, log.kind, motion)
+    signals = signals_of_record(align_velocity(log), machine)
+    return replace(predict_signals(machine, signals, log.source), motion=motion)
 
 
 def predict_signals(machine: Machine, signals: Signals, source: str = "log") -> PredictedFriction:
