@@ -713,7 +713,7 @@ size_t axis_run(
 void axis_follow(
     struct axis *axis,
     const double *position,
-    const double *logged,
+    const double *driving,
     size_t length,
     size_t start,
     size_t count,
@@ -721,8 +721,9 @@ void axis_follow(
 {
     for (size_t k = start; k < start + count; ++k) {
         acceleration[k - start] = axis->acceleration = accelerate(axis, axis->velocity);
-        run_prescribed(
-            axis, reference_at(position, length, k), reference_at(position, length, k + 1),
-            force_behind_log(axis, logged, length, k));
+        const double force = axis->control == AXIS_CONTROL_COMMAND
+                                 ? axis_drive_force(axis, driving, length, (double)k + 0.5)
+                                 : force_behind_log(axis, driving, length, k);
+        run_prescribed(axis, reference_at(position, length, k), reference_at(position, length, k + 1), force);
     }
 }

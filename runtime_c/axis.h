@@ -74,6 +74,7 @@ enum axis_drive { AXIS_DRIVE_VOLTAGE = 1, AXIS_DRIVE_POSITION_LOOP = 2 };
     SCALAR(resistance)               /* ohm */                                                                         \
     SCALAR(supply)                   /* V */                                                                           \
     SCALAR(loop_gain)                /* 1/m, share of the supply per error of position */                              \
+    SCALAR(loop_start)               /* share of the supply beside that, towards the goal */                           \
     SCALAR(clamp)                    /* largest share of the supply; 0: no limit */                                    \
     SCALAR(command_delay)            /* s, until a command acts */                                                     \
     SCALAR(speed_limit)              /* m/s, of the goal behind which the loop goes; 0: none */
@@ -223,13 +224,13 @@ size_t axis_run(
     size_t count,
     const struct axis_record *record);
 
-/* Let an axis that a force drives follow a measured motion [m] through `count` samples from sample `start`: all its
- * states become those of the motion and of the logged force [N]. Records the acceleration that the force would make of
- * it before each sample, of the means over the sample that ends there. */
+/* Let an axis that a logged force or a command drives follow a measured motion [m] through `count` samples from sample
+ * `start`: all its states become those of the motion and of what drives it [N, m or V]. Records the acceleration that
+ * the force would make of it before each sample, of the means over the sample that ends there. */
 void axis_follow(
     struct axis *axis,
     const double *position,
-    const double *logged,
+    const double *driving,
     size_t length,
     size_t start,
     size_t count,

@@ -3,6 +3,8 @@
 
 #include <math.h>
 
+#define STEEP 10.0
+
 static double limit(double value, double most)
 {
     return fmin(fmax(value, -most), most);
@@ -38,7 +40,9 @@ double axis_drive_force(struct axis *axis, const double *command, size_t length,
     const size_t k = (size_t)at;
     double volts = command[k];
     if (set->drive == AXIS_DRIVE_POSITION_LOOP) {
-        volts = set->supply * set->loop_gain * (limited_goal(axis, command, at) - axis->position);
+        const double error = limited_goal(axis, command, at) - axis->position;
+        const double share = set->loop_gain * error; /* STEEP: a step at the goal would have the loop chatter there */
+        volts = set->supply * (share + limit(STEEP * share, set->loop_start));
     }
     if (set->clamp > 0.0) {
         volts = limit(volts, set->clamp * set->supply);

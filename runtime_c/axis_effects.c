@@ -244,23 +244,15 @@ static void move_age(const struct axis *axis, struct axis_effect *effect)
     *age += (1.0 / (p[1] * rate) - *age) * (1.0 - exp(-rate * axis->step));
 }
 
-/* Friction of a mesh is part of what the mesh carries: a contraction by the ratio, below 1, that is iterated. */
+/* Friction of a mesh is part of what the mesh carries: added = ratio |along + share added|. */
 static double add_load(const struct axis_view *at, double level)
 {
     const struct axis *axis = at->axis;
     const double x = at->v / axis->set.stribeck_velocity, ratio = at->p[0] + at->p[1] * exp(-x * x);
-    const double direction = at->v > 0.0 ? 1.0 : at->v < 0.0 ? -1.0 : 0.0;
     const double torque = axis->transmitted - (1.0 - at->p[2]) * axis->inertial;
     const double friction = axis->level + level + axis->set.viscous * fabs(at->v);
-    double added = ratio * fabs(torque);
-    for (int i = 0; i < 100 && at->p[3] > 0.0; ++i) {
-        const double before = added;
-        added = ratio * fabs(direction * torque + at->p[3] * (friction + before));
-        if (fabs(added - before) <= 1e-12 * added) {
-            break;
-        }
-    }
-    return level + added;
+    const double along = (at->v < 0.0 ? -torque : torque) + at->p[3] * friction;
+    return level + ratio * fabs(along) / (1.0 - sign(along) * at->p[3] * fmin(ratio, 0.95));
 }
 
 static double add_loss(const struct axis_view *at, double level)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -11,12 +11,9 @@ from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, load, read_logs
 from sgms_mhe.configuration import override_log
 from sgms_mhe.identification import Identification, Wanted
 from sgms_mhe.identification import identify as identify_logs
-from sgms_mhe.identification.commanded import CommandedAxis
-from sgms_mhe.identification.commanded import identify_commanded as _identify_commanded
 from sgms_mhe.machine import Machine, Units
 from sgms_mhe.machine.writing import toml_log
 from sgms_mhe.recordings.output_error import Objective
-from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import read_only
 from sgms_mhe.support.options import Option
@@ -38,7 +35,9 @@ def identify(
     """Identify an axis from its logs alone; no starting values are asked for.
 
     Args:
-        logs: one log or several of one axis at one rate, in any order: files, Logs, DataFrames or arrays by name.
+        logs: one log or several of one axis at one rate, in any order: files, Logs, DataFrames or arrays by name. All
+            with a force; or with none but a command: runs that state load, gain and supply, or any with a command that
+            the [drive] of `like` takes, whose torque constant and resistance stay.
         name: of the machine.
         mass: moved mass [kg]; None: the one that the motion shows.
         inertia: the same of a rotary axis [kg m^2], as its logs say it is.
@@ -63,41 +62,10 @@ def identify(
     read = read_logs(logs, model, table=table, note=note)
     if not read:
         raise InputError("identify", "logs", [], "at least one")
-    _check_driven(read, commanded=False)
     moved = _moved_mass(read[0].units, mass, inertia)
     found = identify_logs(read, Wanted(name, moved, elements, model, objective), progress or LOGGER.info)
     own = toml_log(table, read[0].kind) if table and model is None else ""
     return read_only(replace(found, toml=found.toml + own))
-
-
-def identify_commanded(
-    logs: Sequence[Log], name: str = "axis", *, like: Machine | None = None, **other: Any
-) -> CommandedAxis:
-    """Identify an axis by the motion that its commands make: of logs without a force.
-
-    Args:
-        logs: runs that state load, gain and supply, or any with the command that the [drive] of `like` takes.
-        name: of the machine.
-        like: its torque constant and resistance are kept.
-        other: what `identify` takes besides; None of it may be given.
-
-    Raises:
-        InputError: some logs have a force; nothing says what a command does.
-    """
-    _check_driven(logs, commanded=True)
-    for option, value in other.items():
-        if value not in (None, "force", "motion"):
-            raise InputError("identify", option, str(value), "none: no log has a force to fit it to")
-    return read_only(_identify_commanded(logs, name, like))
-
-
-def _check_driven(logs: Sequence[Log], *, commanded: bool) -> None:
-    """Refuse logs of which some have a force and some a command alone, or all the other one."""
-    other = next((log for log in logs if log.is_commanded != commanded), None)
-    if other is not None:
-        push = other.units.named("force_N")
-        allowed = f"{push} in every log, which [log] (machine file, --log) maps, or in none and a command instead"
-        raise InputError(other.source or "log", f"column {push}", None, allowed)
 
 
 def _moved_mass(units: Units, mass: float | None, inertia: float | None) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,27 +55,19 @@ def command(
         raise click.BadParameter(allowed, param_hint="'--elements'")
     common.check_output_file(out, (".toml",))
 
-    from sgms_mhe.api.identification import identify, identify_commanded
+    from sgms_mhe.api.identification import identify
     from sgms_mhe.api.inputs import read_logs
     from sgms_mhe.diagnosis.record_residual import measure_residual
     from sgms_mhe.support.files import write_text
+    from sgms_mhe.support.parallel import run_parallel
 
     model = load_for_log(like, log_table) if like is not None else None
     read = read_logs(log, model, table=log_table, note=common.note)
-    count = None if elements == "auto" else int(elements)
-    if any(record.is_commanded for record in read):
-        axis = identify_commanded(read, out.stem, like=model, elements=count, trace=trace, **options)
-        write_text(out, axis.toml)
-        rows = [[axis.machine.plant.units.named(n.name), n.interval, n.note] for n in axis.numbers]
-        table = common.table_text(["number", "value +- 2 sigma", ""], rows)
-        text = f"{table}\n{axis.describe()}\nmachine file: {out}"
-        common.show(common.json_text(axis.to_json() | {"file": str(out)}) if json else text, out)
-        return
     with trace_decisions(trace), common.step_notes() as progress:
         found = identify(
             read,
             out.stem,
-            elements=count,
+            elements=None if elements == "auto" else int(elements),
             like=model,
             table=log_table,
             note=common.note,
@@ -82,8 +75,8 @@ def command(
             **options,
         )
     write_text(out, found.toml)
-    residuals = [measure_residual(found.machine, record) for record in read]
-    motions = [_run_freely(found.machine, record) for record in read]
+    residuals = [measure_residual(found.machine, record) for record in read if not record.is_commanded]
+    motions = run_parallel([partial(_run_freely, found.machine, record) for record in read])
     if json:
         stated = found.machine.plant.units.keyed({"residual_of_file": [residual.to_json() for residual in residuals]})
         stated |= {"free_run": [None if motion is None else motion.to_json() for motion in motions], "file": str(out)}
@@ -94,10 +87,11 @@ def command(
 
 def _run_freely(machine: Machine, log: Log) -> FreeRun | None:
     """Return the free run along a log; None where it allows none."""
+    from sgms_mhe.configuration import carry_load
     from sgms_mhe.recordings.free_run import run_freely
 
     try:
-        return run_freely(machine, log)
+        return run_freely(carry_load(machine, log.run), log)
     except InputError:
         return None
 
@@ -114,12 +108,13 @@ def _text(
     lines = [
         common.table_text(["number", "value +- 2 sigma", ""], rows),
         *(s.sentence for s in found.others if s.sure == "yes" and s.kind != "file"),
-        f"without errors of timing: {found.stated_rms_N:.3g} {units.force}; least squares alone: "
-        f"{found.plain_rms_N:.3g} {units.force}{', which is what is written' if found.is_plain else ''}",
     ]
-    lines += [
-        f"{residual.describe(units)}, of the file along {name}" for residual, name in zip(residuals, names, strict=True)
-    ]
+    if residuals:
+        lines.append(
+            f"without errors of timing: {found.stated_rms_N:.3g} {units.force}; least squares alone: "
+            f"{found.plain_rms_N:.3g} {units.force}{', which is what is written' if found.is_plain else ''}"
+        )
+        lines += [f"{r.describe(units)}, of the file along {name}" for r, name in zip(residuals, names, strict=True)]
     lines += [f"{motion.describe()}, along {name}" for motion, name in zip(motions, names, strict=True) if motion]
     lines += [f"open: {sentence}" for sentence in found.limits]
     lines += [f"note: {warning}" for warning in found.warnings]

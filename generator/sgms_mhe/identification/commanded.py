@@ -6,8 +6,7 @@ No force was recorded, so the fit is one of output error. Loads that the runs st
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -16,82 +15,48 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from sgms_mhe.configuration import G_N, carry_load, make_machine
-from sgms_mhe.identification.result import Number
+from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.writing import check_toml, machine_toml
 from sgms_mhe.machine import Machine, plant_content
-from sgms_mhe.model.effects import GEAR_FRICTION, WEIGHT
-from sgms_mhe.recordings.free_run import MotionRecord, ShotStart
+from sgms_mhe.model.effects import GEAR_FRICTION, PLAY
+from sgms_mhe.recordings.free_run import COMMANDED_STEP_S, MotionRecord, ShotStart
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array
+from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.json_values import finite
-from sgms_mhe.support.notebooks import Presentation, Shown
 from sgms_mhe.support.numbers import SIGMAS, round_number
 from sgms_mhe.support.parallel import run_parallel
-from sgms_mhe.support.statements import Rule
+from sgms_mhe.support.statements import Rule, Statement, list_open
+
+Report = Callable[[str], None]
 
 FEW: Final = 16
 """Runs, spread over all, that the first fits take."""
 INERTIAS: Final = (0.3, 1.0, 3.0)
 """Of the mean load's: inertias of the drive that are started from."""
+CLAMPS: Final = (0.4, 0.7, 1.0)
+"""Clamps that are started from where the torque constant is known: from one that is too high nothing leads down."""
+PARTS: Final = 16
 OUTLYING: Final = (0.05, 0.005)
 """Errors over the extent of the motion from which on they count by their size alone, of the first fits and the last."""
 DIFFERENCE: Final = 2e-2
 """Of a number's unit: step of a difference; a delay moves the commands by whole steps of the integration."""
 LEAST: Final = 1e-3
 """Of its unit: the least value of a number that has to be positive."""
+STIFFNESS: Final = "stiffness_1"
+PLAYS: Final = (0.5e-3, 1e-3, 2e-3, 4e-3)
+"""Of the extent of the motion: widths of play that are tried."""
 RADIUS: Final = "weight_radius"
+"""Its square is the number that is fitted."""
 LOAD: Final = f"{GEAR_FRICTION}.ratio"
-ARM: Final = f"{WEIGHT}.amplitude_N"
+SHARE: Final = f"{GEAR_FRICTION}.friction_ratio"
+"""Share of inertial torque and friction that the teeth transmit, one number."""
+GEAR: Final = {"name": GEAR_FRICTION, "ratio": 0.2, "inertia_ratio": 0.5, "friction_ratio": 0.5}
 _MOTOR: Final = ("torque_constant", "resistance", "gain_unit", "speed_limit")
-_POSITIVE: Final = ("mass", "coulomb", *(f"drive.{key}" for key in _MOTOR))
+_POSITIVE: Final = ("mass", "coulomb", STIFFNESS, *(f"drive.{key}" for key in _MOTOR))
 
 
-@dataclass(frozen=True, repr=False)
-class CommandedAxis(Shown):
-    """A commanded axis from its runs.
-
-    Attributes:
-        machine: as it is written.
-        toml: its file.
-        numbers: with deviations by the spread between runs.
-        mae, rms: errors of the free run along each log, of the file, all samples [m].
-        sources: the logs.
-    """
-
-    machine: Machine
-    toml: str
-    numbers: tuple[Number, ...]
-    mae: tuple[float, ...]
-    rms: tuple[float, ...]
-    sources: tuple[str, ...]
-
-    def _shown(self) -> Presentation:
-        names = self.machine.plant.units.named
-        rows = [(names(number.name), number.interval, number.note) for number in self.numbers]
-        return f"{self.machine.name}: {self.describe()}", ("number", "value +- 2 sigma", ""), rows
-
-    def describe(self) -> str:
-        """Return the errors in words."""
-        unit, count = self.machine.plant.units.position, len(self.mae)
-        mean, worst = f"{np.mean(self.mae):.4g} {unit}", f"{max(self.mae):.4g} {unit}"
-        return f"free run from the command alone: {mean} mean absolute error over {count} runs, at most {worst}"
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data; None where a number has no deviation."""
-        units = self.machine.plant.units
-        runs = zip(self.sources, self.mae, self.rms, strict=True)
-        content = {
-            "machine": self.machine.name,
-            "numbers": [number.to_json(units) for number in self.numbers],
-            "statements": [number.state(units).to_json() for number in self.numbers],
-            "free_run": [{"log": log, "mae": mae, "rms": rms, "unit": units.position} for log, mae, rms in runs],
-        }
-        found: dict[str, Any] = finite(content)
-        return found
-
-
-def identify_commanded(logs: Sequence[Log], name: str, like: Machine | None) -> CommandedAxis:
+def identify_commanded(logs: Sequence[Log], name: str, like: Machine | None, report: Report) -> Identification:
     """Fit drive, inertia and friction of a commanded axis to the motion of its runs.
 
     Args:
@@ -99,6 +64,7 @@ def identify_commanded(logs: Sequence[Log], name: str, like: Machine | None) -> 
         name: of the machine.
         like: machine with a [drive]; its torque_constant and resistance stay. Without one the logs are runs that state
             load, gain and supply, and the clamp is 1: without the torque constant nothing tells it apart.
+        report: called with each step.
 
     Raises:
         InputError: neither a drive nor what makes one.
@@ -109,15 +75,21 @@ def identify_commanded(logs: Sequence[Log], name: str, like: Machine | None) -> 
         raise InputError(source, "column " + logs[0].units.named("force_N"), None, allowed)
     if like is not None and like.drive.kind == "force":
         raise InputError(source, "like", like.name, "a machine whose [drive] says what the command does")
-    begin = _FreeRuns(logs, _begin(logs, name) if like is None else _extend(like, name, logs), like is not None)
+    begin = _FreeRuns(logs, _begin(logs, name) if like is None else _extend(like, name), like is not None)
     spread = np.unique(np.linspace(0, len(logs) - 1, min(FEW, len(logs))).round().astype(int))
     few = begin.part(spread.tolist())
     inertia = begin.machine.plant.moved if like is None else 0.0
-    starts = [{"mass": factor * inertia} for factor in INERTIAS] if inertia else [{}]
-    tried = [few.fit(few.start(start), 15, OUTLYING[0]) for start in starts]
+    starts = [{"mass": factor * inertia} for factor in INERTIAS] if inertia else [{"drive.clamp": c} for c in CLAMPS]
+    report(f"fits over {len(few.logs)} of {len(logs)} runs, from {len(starts)} starts")
+    tried = [few.fit(few.fit(few.start(start), 20, OUTLYING[0]).x, 20, OUTLYING[1]) for start in starts]
+    for start, fitted in zip(starts, tried, strict=True):
+        found_at = {"cost": float(fitted.cost), "at": few.named(fitted.x)}
+        log_decision("commanded", "least error from a start", start=start, **found_at)
     best = min(tried, key=lambda found: float(found.cost))
-    found = begin.fit(begin.fit(best.x, 8, OUTLYING[0]).x, 40, OUTLYING[1])
-    return _write(begin, found, name)
+    report(f"fit over {len(logs)} runs")
+    found = begin.fit(best.x, 40, OUTLYING[1])
+    report("play")
+    return _write(begin, found, name, _look_for_play(few, found.x))
 
 
 def _begin(logs: Sequence[Log], name: str) -> Machine:
@@ -139,7 +111,7 @@ def _begin(logs: Sequence[Log], name: str) -> Machine:
     content = {
         "name": name,
         "description": "identified from commands and motion",
-        "plant": {**plant_content("rotary", inertia), "weight_radius": 0.3 * length},
+        "plant": {**plant_content("rotary", inertia), "weight_radius": 0.0},
         "friction": {
             "law": "switching",
             "stiffness": [float(f"{coulomb / (2e-4 * extent):.2g}")],
@@ -160,57 +132,53 @@ def _begin(logs: Sequence[Log], name: str) -> Machine:
             "supply": supply,
             "gain": logs[0].run["gain"],
             "gain_unit": slope / torque,
+            "start": 0.01,
             "clamp": 1.0,
             "delay": 2.0 / rate,
             "speed_limit": 0.9 * speed,
         },
-        "effects": _effects((), runs=True),
+        "effects": [GEAR],
     }
     return make_machine(content, Path(f"{name}.toml"))
 
 
-def _effects(own: Sequence[Mapping[str, Any]], *, runs: bool) -> list[Mapping[str, Any]]:
-    """Return effects with friction that grows with the load, and what an arm adds to the weight that runs state."""
-    names = {effect["name"] for effect in own}
-    added = [{"name": GEAR_FRICTION, "ratio": 0.2, "friction_ratio": 1.0}] if GEAR_FRICTION not in names else []
-    if runs and WEIGHT not in names:
-        added.append({"name": WEIGHT, "amplitude_Nm": 0.0, "phase_rad": 0.0})
-    return [*own, *added]
-
-
-def _extend(like: Machine, name: str, logs: Sequence[Log]) -> Machine:
-    """Return a machine under another name, with the effects that a fit looks for."""
-    effects = like.content.get("effects", ())
-    if like.plant.kind == "rotary":
-        effects = _effects(effects, runs=any(log.run for log in logs))
-    return make_machine({**like.content, "name": name, "effects": list(effects)}, like.source)
+def _extend(like: Machine, name: str) -> Machine:
+    """Return a machine under another name, with friction that grows with the load of a gear."""
+    effects = list(like.content.get("effects", ()))
+    if like.plant.kind == "rotary" and all(effect["name"] != GEAR_FRICTION for effect in effects):
+        effects.append(GEAR)
+    return make_machine({**like.content, "name": name, "effects": effects}, like.source)
 
 
 class _FreeRuns:
     """Errors of free runs over the numbers of a machine, in units of each."""
 
     def __init__(self, logs: Sequence[Log], machine: Machine, is_known: bool) -> None:
-        self.logs, self.machine = logs, machine
+        self.logs, self.machine, self.play = logs, machine, 0.0
         loaded = [carry_load(machine, log.run) for log in logs]
         self.records = [MotionRecord(m, log) for m, log in zip(loaded, logs, strict=True)]
-        self.axes = [record.axis(m) for record, m in zip(self.records, loaded, strict=True)]
+        play = [(PLAY, {"gap_m": 0.0})]
+        self.axes = [record.axis(m, hidden=play) for record, m in zip(self.records, loaded, strict=True)]
         self.starts: list[list[ShotStart]] = []
         axis, keys = self.axes[0], machine.drive.model_dump(exclude={"kind", "gain"}, exclude_none=True)
         fixed = {"supply", "torque_constant", "resistance"} if is_known else {"supply", "clamp"}
         own = [f"drive.{key}" for key in keys if key not in fixed]
-        effects = [LOAD, *([ARM] if logs[0].run else [])] if machine.plant.kind == "rotary" else []
+        effects = [LOAD, SHARE] if machine.plant.kind == "rotary" else []
         radius = [RADIUS] if machine.plant.weight_radius is not None else []
-        numbers = ["mass", *radius, "coulomb", "viscous", *own, *effects]
+        element = [STIFFNESS] if machine.friction.n_z == 1 else []
+        numbers = ["mass", *radius, "coulomb", *element, "viscous", *own, *effects]
         self.names = numbers
-        plant = {"mass": machine.plant.moved, RADIUS: machine.plant.weight_radius or 0.0}
+        plant = {"mass": machine.plant.moved, RADIUS: (machine.plant.weight_radius or 0.0) ** 2}
         self.nominal = np.array([plant[name] if name in plant else axis.number(name) for name in numbers])
         force = machine.friction.coulomb
-        small = {"viscous": 0.1 * force, "drive.delay": 0.01, LOAD: 0.1, ARM: force, RADIUS: 0.05}
+        small = {"viscous": 0.1 * force, LOAD: 0.1, SHARE: 0.5, RADIUS: 2e-3, "drive.start": 0.02}
+        small["drive.delay"] = COMMANDED_STEP_S / DIFFERENCE
         self.unit = np.array([small.get(n, abs(v) or 1.0) for n, v in zip(numbers, self.nominal, strict=True)])
-        limits = np.array([(0.0, 10.0) if name == RADIUS else axis.limits(name) for name in numbers]).T
-        if "drive.speed_limit" in numbers:  # beyond the speeds that were seen it does nothing
-            k = numbers.index("drive.speed_limit")
-            limits[1, k] = 2.0 * self.nominal[k]
+        limits = np.array([(0.0, 1.0) if name == RADIUS else axis.limits(name) for name in numbers]).T
+        # Beyond the speeds that were seen, and within what the encoder resolves, they do nothing.
+        for name, factor in (("drive.speed_limit", 2.0), (STIFFNESS, 1.0)):
+            if name in numbers:
+                limits[1, numbers.index(name)] = factor * self.nominal[numbers.index(name)]
         least = [LEAST * unit if n in _POSITIVE else -math.inf for n, unit in zip(numbers, self.unit, strict=True)]
         self.bounds = np.maximum(limits[0], least) / self.unit, limits[1] / self.unit
         self.extent = max(record.extent for record in self.records)
@@ -228,13 +196,20 @@ class _FreeRuns:
         named = zip(self.names, self.nominal, strict=True)
         return np.asarray(np.array([values.get(name, value) for name, value in named]) / self.unit)
 
+    def named(self, x: Array) -> dict[str, float]:
+        """Return numbers by name, SI, of coordinates."""
+        return dict(zip(self.names, (self.unit * x).tolist(), strict=True))
+
     def _run(self, k: int, x: Array, starts: Sequence[ShotStart]) -> tuple[Array, list[ShotStart]]:
         record, axis = self.records[k], self.axes[k]
-        values = dict(zip(self.names, (self.unit * x).tolist(), strict=True))
-        radius, run = values.pop(RADIUS, 0.0), self.logs[k].run
-        for name, value in values.items():
-            load = run["mass"] * (run["length"] ** 2 + radius**2) if run and name == "mass" else 0.0
-            axis.replace(name, value + load)
+        values = self.named(x)
+        square, run = values.pop(RADIUS, 0.0), self.logs[k].run
+        if run:
+            values["mass"] += run["mass"] * (run["length"] ** 2 + square)
+        if SHARE in values:
+            values[f"{GEAR_FRICTION}.inertia_ratio"] = values[SHARE]
+        for name, value in {**values, f"{PLAY}.gap_m": self.play}.items():
+            axis.replace(name, value)
         axis.place(float(record.position[record.stretches[0][0]]))
         runs, taken = record.run(axis, record.stretches, starts)
         parts = zip(runs, record.stretches, strict=True)
@@ -263,60 +238,88 @@ class _FreeRuns:
             steps = np.where(at + DIFFERENCE < upper, DIFFERENCE, -DIFFERENCE)
             return np.array([(residual(at + row) - here) / row.sum() for row in np.diag(steps)]).T
 
-        return least_squares(
-            residual, x, jacobian, bounds=self.bounds, loss="soft_l1", f_scale=outlying, ftol=1e-5, max_nfev=most
-        )
+        fits = {"loss": "soft_l1", "f_scale": outlying, "ftol": 1e-5, "max_nfev": most, "x_scale": "jac"}
+        return least_squares(residual, x, jacobian, bounds=self.bounds, **fits)
+
+    def by_run(self, values: Array) -> list[Array]:
+        """Split values (n) of all samples by runs."""
+        edges = np.cumsum([sum(b - a for a, b in record.stretches) for record in self.records])[:-1]
+        return np.split(values, edges)
+
+    def by_part(self, values: Array) -> list[Array]:
+        """Split values (n) of all samples by runs, few of them by parts of each: what repeats itself, or not."""
+        count = -(-PARTS // len(self.records))
+        return [part for run in self.by_run(values) for part in np.array_split(run, count)]
 
     def spread(self, found: Any) -> Array:
-        """Return the deviation of every number by the spread of its gradient between runs."""
-        edges = np.cumsum([sum(b - a for a, b in record.stretches) for record in self.records])[:-1]
+        """Return the deviation of every number by the spread of its gradient between parts; a delay has steps."""
         weight = 1.0 / np.sqrt(1.0 + (found.fun / OUTLYING[1]) ** 2)
-        parts = zip(np.split(found.jac, edges), np.split(found.fun * np.sqrt(weight), edges), strict=True)
+        parts = zip(self.by_part(found.jac), self.by_part(found.fun * np.sqrt(weight)), strict=True)
         gradients = np.array([jac.T @ rest for jac, rest in parts])
         spread = gradients @ np.linalg.pinv(found.jac.T @ found.jac)
         runs = len(gradients)
-        return np.asarray(self.unit * np.sqrt(np.sum(spread**2, axis=0) * runs / max(runs - 1, 1)))
+        step = np.where(np.array(self.names) == "drive.delay", COMMANDED_STEP_S / math.sqrt(12.0), 0.0)
+        return np.asarray(np.hypot(step, self.unit * np.sqrt(np.sum(spread**2, axis=0) * runs / max(runs - 1, 1))))
+
+
+def _look_for_play(problem: _FreeRuns, x: Array) -> Statement:
+    """Fit once more with gaps of several widths, and compare the errors of every run with those without."""
+    widths, costs = [0.0, *(share * problem.extent for share in PLAYS)], []
+    for problem.play in widths:
+        ratio = problem.fit(x, 4, OUTLYING[1]).fun / OUTLYING[1]
+        costs.append([float(np.sum(np.sqrt(1.0 + run**2) - 1.0)) for run in problem.by_part(ratio)])
+    problem.play = 0.0
+    floored = np.array(costs) + LEAST * np.mean(costs[0])
+    gains = np.log(floored[0] / floored[1:])  # of each part alike: a few that fall freely cost most
+    gain, spread = gains.mean(axis=1), SIGMAS * gains.std(axis=1) / math.sqrt(gains.shape[1])
+    log_decision("commanded", "play", widths=widths[1:], gain=gain.tolist(), spread=spread.tolist())
+    seen, refuted = np.flatnonzero(gain > spread), np.flatnonzero(gain < -spread)
+    rule, at = Rule.PLAY_UNTOLD, len(PLAYS) - 1
+    if len(seen):
+        rule, at = Rule.PLAY, int(np.argmax(gain - spread))
+    elif len(refuted) and len(refuted) == len(PLAYS) - refuted[0]:
+        rule, at = Rule.NO_PLAY, int(refuted[0])
+    said = {"percent": 100.0 * (math.exp(abs(gain[at])) - 1.0), "spread": 100.0 * spread[at]}
+    return Statement(rule, PLAY, widths[1 + at], None, problem.machine.plant.units.position, said)
 
 
 def _state(name: str, value: float, std: float, is_at_limit: bool) -> Number:
     if is_at_limit:
-        return Number(name, value, math.nan, Rule.AT_LIMIT)
+        return Number(name, math.sqrt(value) if name == RADIUS else value, math.nan, Rule.AT_LIMIT)
+    if name == RADIUS:
+        value, std = math.sqrt(value), std / (2.0 * math.sqrt(value))
     return Number(name, value, std, Rule.DETERMINED if SIGMAS * std < abs(value) else Rule.VAGUE)
 
 
-def _write(problem: _FreeRuns, found: Any, name: str) -> CommandedAxis:
-    """Return the machine with what was found, and its errors as `predict` has them."""
+def _write(problem: _FreeRuns, found: Any, name: str, play: Statement) -> Identification:
+    """Return the machine with what was found, and the error of its free runs."""
     machine, units = problem.machine, problem.machine.plant.units
-    at_limit = np.minimum(found.x - problem.bounds[0], problem.bounds[1] - found.x) < DIFFERENCE
-    rows = zip(problem.names, found.x * problem.unit, problem.spread(found), at_limit, strict=True)
+    lower, upper = problem.bounds
+    x = np.where(found.x - lower < DIFFERENCE, lower, np.where(upper - found.x < DIFFERENCE, upper, found.x))
+    at_limit = (x == lower) | (x == upper)
+    rows = zip(problem.names, x * problem.unit, problem.spread(found), at_limit, strict=True)
     numbers = tuple(_state(n, float(value), float(std), edge) for n, value, std, edge in rows)
     value = {n.name: round_number(n.value, n.std) for n in numbers}
     content = {**machine.content, "plant": {**machine.content["plant"], **plant_content(units.kind, value["mass"])}}
     if RADIUS in value:
         content["plant"][RADIUS] = value[RADIUS]
     content["friction"] = {**content["friction"], **{key: value[key] for key in ("coulomb", "viscous")}}
+    if STIFFNESS in value:
+        content["friction"]["stiffness"] = [value[STIFFNESS]]
     drive = {key.removeprefix("drive."): number for key, number in value.items() if key.startswith("drive.")}
     content["drive"] = {**content["drive"], **drive}
-    own = {LOAD: "ratio", ARM: "amplitude_Nm"}
-    content["effects"] = [
-        {**effect, **{key: value[n] for n, key in own.items() if n in value and n.startswith(f"{effect['name']}.")}}
-        for effect in content["effects"]
-    ]
+    if LOAD in value:
+        gear = {"ratio": value[LOAD], "inertia_ratio": value[SHARE], "friction_ratio": value[SHARE]}
+        content["effects"] = [{**e, **(gear if e["name"] == GEAR_FRICTION else {})} for e in content["effects"]]
+    errors = [float(np.mean(np.abs(run))) * problem.extent for run in problem.by_run(found.fun)]
+    said = {"count": len(errors), "most": max(errors)}
+    error = Statement(Rule.RAN, "free runs", float(np.mean(errors)), None, units.position, said)
     head = [
-        f"{name}: identified by the motion that the command alone makes, over {len(problem.logs)} runs; beside "
-        "numbers: intervals of two standard deviations by the spread between runs. supply is stated; play was not "
-        "looked for."
+        f"Written by sgms-mhe identify over {len(errors)} runs by the motion that the command alone makes.",
+        "Intervals are two standard deviations by the spread between runs; the supply is stated.",
+        f"{error.sentence}.",
+        *(s.advice for s in list_open([*(number.state(units) for number in numbers), play])),
     ]
     toml = machine_toml(units, content, numbers, head)
     machine = check_toml(toml, content, Path(f"{name}.toml"))
-    errors = _FreeRuns(problem.logs, machine, is_known=False)
-    errors.begin(errors.nominal / errors.unit)
-    runs = errors.errors(errors.nominal / errors.unit)
-    return CommandedAxis(
-        machine,
-        toml,
-        numbers,
-        tuple(float(np.mean(np.abs(run))) for run in runs),
-        tuple(float(np.sqrt(np.mean(run**2))) for run in runs),
-        tuple(log.source for log in problem.logs),
-    )
+    return Identification(machine, toml, numbers, (play, error), tuple(log.source for log in problem.logs))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.identification.commanded import identify_commanded
 from sgms_mhe.identification.description import (
     MISFIT,
     FrictionError,
@@ -49,7 +50,7 @@ from sgms_mhe.identification.terms import (
     curve_terms,
 )
 from sgms_mhe.identification.writing import check_toml, machine_content, machine_toml
-from sgms_mhe.logfiles.plausibility import check_plausible
+from sgms_mhe.logfiles.plausibility import check_has_force, check_plausible
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model.effects import MOVES, Measure, effect_definition
 from sgms_mhe.model.effects.causes import CauseDefinition
@@ -157,6 +158,14 @@ def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) ->
     Raises:
         InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
     """
+    driven = [log for log in logs if not log.is_commanded]
+    if len(driven) < len(logs):
+        if driven:
+            check_has_force(next(log for log in logs if log.is_commanded))
+        for option in ("mass", "elements", "objective"):
+            if (value := getattr(wanted, option)) not in (None, "force", "motion"):
+                raise InputError("identify", option, value, "none: no log has a force to fit it to")
+        return identify_commanded(logs, wanted.name, wanted.like, report)
     return _describe(explore(logs, wanted, report), sort_logs(logs), wanted, report)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -82,10 +83,11 @@ class Identification(Shown):
     Attributes:
         machine: as it is written.
         toml: its file.
-        law: of its elements.
-        law_decided: whether the records tell the laws apart.
         numbers: with intervals.
         others: statements on law, elements, timing, what is left and the file as a whole.
+        sources: the logs, in the order of their content.
+        law: of its elements.
+        law_decided: whether the records tell the laws apart.
         warnings: what a user should know about the logs.
         rms_N: residual of all rows.
         held_out_rms_N: on a third of the blocks that the fit had not seen.
@@ -95,25 +97,26 @@ class Identification(Shown):
         noise_floor_N: of a row.
         friction_rms_N: of the measured friction.
         by_count: cross-validated residual by number of elements tried [N].
-        sources: the logs, in the order of their content.
+
+    Forces are NaN where none was recorded.
     """
 
     machine: Machine
     toml: str
-    law: Law
-    law_decided: bool
     numbers: tuple[Number, ...]
     others: tuple[Statement, ...]
-    warnings: tuple[str, ...]
-    rms_N: float
-    held_out_rms_N: float
-    stated_rms_N: float
-    plain_rms_N: float
-    is_plain: bool
-    noise_floor_N: float
-    friction_rms_N: float
-    by_count: Mapping[int, float]
     sources: tuple[str, ...]
+    law: Law = "switching"
+    law_decided: bool = False
+    warnings: tuple[str, ...] = ()
+    rms_N: float = math.nan
+    held_out_rms_N: float = math.nan
+    stated_rms_N: float = math.nan
+    plain_rms_N: float = math.nan
+    is_plain: bool = False
+    noise_floor_N: float = math.nan
+    friction_rms_N: float = math.nan
+    by_count: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def statements(self) -> tuple[Statement, ...]:

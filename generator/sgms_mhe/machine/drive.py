@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from sgms_mhe.machine.fields import MachineTable, listing, refusal, text
 
-_LOOP: Final = ("gain", "gain_unit", "speed_limit")
+_LOOP: Final = ("gain", "gain_unit", "speed_limit", "start")
 
 
 def _number(meaning: str, unit: str, most: float, default: float | None = None) -> Any:
@@ -19,8 +19,9 @@ def _number(meaning: str, unit: str, most: float, default: float | None = None) 
 class Drive(MachineTable):
     """Drive of an axis: its command is a force, a voltage (or a share of the supply), or the goal of a position loop.
 
-    voltage = supply clip(gain gain_unit (goal - position), +- clamp); force = (voltage - k velocity) k / resistance, k:
-    torque_constant. The goal goes to its place at speed_limit. A drive that is not enabled makes no force.
+    voltage = supply clip(gain gain_unit (goal - position) +- start, +- clamp); force = (voltage - k velocity) k /
+    resistance, k: torque_constant. The goal goes to its place at speed_limit. A drive that is not enabled makes no
+    force.
     """
 
     kind: Literal["force", "voltage", "position_loop"] = text("command", "force, voltage or position_loop", "force")
@@ -31,6 +32,9 @@ class Drive(MachineTable):
         "of the position loop, as the firmware counts; that of a run stands before it", "1", 1e9
     )
     gain_unit: float | None = _number("share of the supply per error of position and unit of gain", "1/rad, 1/m", 1e9)
+    start: float = Field(
+        0.0, ge=0, lt=1, description="least share of the supply towards the goal [1]; >= 0 and < 1; default 0.0"
+    )
     clamp: float | None = _number("largest share of the supply", "1", 1.0)
     delay: float = Field(0.0, ge=0, le=1, description="until a command acts [s]; >= 0 and <= 1; default 0.0")
     speed_limit: float | None = _number("speed at which the goal of the loop goes to its place", "rad/s, m/s", 1e6)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 SOURCES: Final = ("axis.c", "axis_drive.c", "axis_effects.c")
 DRIVES: Final = ("voltage", "position_loop")
 """enum axis_drive of the C, from 1 on."""
-DRIVE: Final = {"gain_unit": "loop_gain", "delay": "command_delay"}
+DRIVE: Final = {"gain_unit": "loop_gain", "start": "loop_start", "delay": "command_delay"}
 """Settings of the C by keys of [drive], where they have other names."""
 _HISTORY: Final = 4096
 _RESONANT: Final = 0.5
@@ -54,6 +54,9 @@ class NativeCompensation:
     function: Any
     context: int
 
+
+HiddenEffect = tuple[str, Mapping[str, Value]]
+"""Name and parameters of an effect that the machine file does not have."""
 
 Compensation = Callable[[float, float], float] | NativeCompensation
 """Called each sample with measured position [m] and force [N]; returns the force [N] to add."""
@@ -199,9 +202,7 @@ class _Parameter:
 class NativeAxis:
     """One `struct axis` and its true parameters by name."""
 
-    def __init__(
-        self, machine: Machine, config: AxisConfig, hidden_effects: Sequence[tuple[str, Mapping[str, Value]]]
-    ) -> None:
+    def __init__(self, machine: Machine, config: AxisConfig, hidden_effects: Sequence[HiddenEffect]) -> None:
         self._library = loaded_library()
         self._c = self._library.c
         self._memory = ctypes.create_string_buffer(self._c.axis_size())
@@ -349,14 +350,14 @@ class NativeAxis:
         """Return a true number."""
         return self._numbers[name].value
 
-    def follow(self, position: Array, force: Array, start: int, end: int) -> Array:
-        """Follow a measured motion under a logged force: all states become those at sample `end`.
+    def follow(self, position: Array, driving: Array, start: int, end: int) -> Array:
+        """Follow a measured motion under a logged force, or a command: all states become those at sample `end`.
 
         Returns:
             Acceleration that the force would make (end - start) [m/s^2], half a sample before each.
         """
         acceleration = np.empty(end - start)
-        args = (position.ctypes.data, force.ctypes.data, len(force), start, end - start, acceleration.ctypes.data)
+        args = (position.ctypes.data, driving.ctypes.data, len(driving), start, end - start, acceleration.ctypes.data)
         self._c.axis_follow(self._memory, *args)
         return acceleration
 

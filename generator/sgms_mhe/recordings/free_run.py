@@ -19,10 +19,10 @@ from scipy.signal import butter, sosfiltfilt
 
 from sgms_mhe.machine import OF_KIND, Kind, Machine
 from sgms_mhe.plant.axis_config import MAX_SUBSTEPS, AxisConfig
-from sgms_mhe.plant.native import NativeAxis
+from sgms_mhe.plant.native import HiddenEffect, NativeAxis
 from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.signals.chain import readings
-from sgms_mhe.signals.drive import command_of, fill_force, switched_on
+from sgms_mhe.signals.drive import command_of, switched_on
 from sgms_mhe.signals.logs import Log, check_rate
 from sgms_mhe.signals.noise import encoder_step, position_noise
 from sgms_mhe.support.errors import InputError
@@ -163,10 +163,10 @@ class MotionRecord:
         if log.is_friction_alone or log.payload:
             said = f"a log with the {log.units.push} that moves the axis, and no mass beside it"
             raise InputError(log.source or "log", "free run", log.units.named("friction_N"), said)
-        log = readings(fill_force(log, machine))
-        self._command, self._on = command_of(log, machine), switched_on(log)
-        self.log, self.position = log, log.position_m
-        good = np.isfinite(log.position_m) & np.isfinite(log.force_N)
+        log = readings(log)
+        command, self._on = command_of(log, machine), switched_on(log)
+        self.log, self.position, self._is_commanded = log, log.position_m, command is not None
+        good = np.isfinite(log.position_m) & (np.isfinite(log.force_N) | self._is_commanded)
         since = log.time_s - log.time_s[0]
         chosen = good & (since >= start_s) & (since <= end_s)
         self.stretches = [(a, b) for a, b in find_runs(chosen) if b - a > 2 * FIRST]
@@ -178,24 +178,22 @@ class MotionRecord:
         filled = np.interp(k, k[good], log.position_m[good])
         self._sos = butter(2, machine.sampling.velocity_cutoff, fs=log.rate, output="sos")
         self._followed = np.ascontiguousarray(sosfiltfilt(self._sos, filled))
-        self._force = np.ascontiguousarray(np.interp(k, k[good], log.force_N[good]))
+        self._driving = np.ascontiguousarray(np.interp(k, k[good], log.force_N[good])) if command is None else command
         self.extent = float(np.ptp(log.position_m[good]))
         step = machine.sampling.position_step or encoder_step(log.position_m)
         self.noise = max(position_noise(log.position_m), step / math.sqrt(12.0), SMALLEST * self.extent)
 
-    def axis(self, machine: Machine, parameters: Mapping[str, float] = _NONE) -> NativeAxis:
-        """Return a machine's axis that a force drives, at rest at the first sample, with these true numbers."""
-        commanded = self._command is not None
-        axis = NativeAxis(_set_rate(machine, self.log.rate), _config(machine, self.log.rate, commanded), ())
+    def axis(
+        self, machine: Machine, parameters: Mapping[str, float] = _NONE, hidden: Sequence[HiddenEffect] = ()
+    ) -> NativeAxis:
+        """Return a machine's axis, at rest at the first sample, with these true numbers and effects that it hides."""
+        config = _config(machine, self.log.rate, self._is_commanded)
+        axis = NativeAxis(_set_rate(machine, self.log.rate), config, hidden)
         axis.enable(self._on)
         for name, value in parameters.items():
             axis.replace(name, value)
         axis.place(float(self._followed[0]))
         return axis
-
-    @property
-    def _driving(self) -> Array:
-        return self._force if self._command is None else self._command
 
     def run(
         self, axis: NativeAxis, shots: Sequence[tuple[int, int]], starts: Sequence[ShotStart] = ()
@@ -206,7 +204,7 @@ class MotionRecord:
         """
         here, runs, taken = 0, [], []
         for i, (first, end) in enumerate(shots):
-            axis.follow(self._followed, self._force, here, first)
+            axis.follow(self._followed, self._driving, here, first)
             here = first
             start = starts[i] if starts else self._estimate(axis, first)
             runs.append(axis.run_free(self._driving, first, end, start.position, start.velocity, start.strain))
@@ -219,7 +217,7 @@ class MotionRecord:
 
     def force_residual(self, axis: NativeAxis) -> Array:
         """Return force by the model minus measured force along the measured motion (n), low-passed [N]."""
-        acceleration = axis.follow(self._followed, self._force, 0, len(self._force))
+        acceleration = axis.follow(self._followed, self._driving, 0, len(self._driving))
         moved = np.pad(np.diff(self._followed, 2), 1, mode="edge") * self.log.rate**2
         before = 0.5 * (moved + np.concatenate((moved[:1], moved[:-1])))
         return axis.number("mass") * np.asarray(before - sosfiltfilt(self._sos, acceleration))

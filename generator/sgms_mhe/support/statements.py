@@ -42,6 +42,14 @@ class Rule(Enum):
     HAS_RIVAL = "cause", "open", "{about}: another cause fits as well"
     COMBINED = "cause", "open", "{about}: known together with another cause alone"
     PART_OF_CURVE = "cause", "open", "{about}: may be a part of a curve over speed of another form"
+    PLAY = "cause", "open", "{about}: play of about {value:.2g} {unit} lowers a free run's cost by {percent:.2g} %"
+    NO_PLAY = "cause", "no", "{about}: refused, {value:.2g} {unit} of play raise a free run's cost by {percent:.2g} %"
+    PLAY_UNTOLD = (
+        "cause",
+        "open",
+        "{about}: not determined, up to {value:.2g} {unit} of play change a free run's cost by {percent:.2g} %, less "
+        "than its spread over runs, {spread:.2g} %",
+    )
     NAMELESS = "cause", "open", "{about}: uncertain or not the same all over the record, no cause, but it predicts"
     UNEQUAL = "cause", "no", "{about}: its size differs between the records"
     FIRST_ALONE = "cause", "no", "{about}: of the first record alone, on another one it gains nothing significant"
@@ -67,6 +75,7 @@ class Rule(Enum):
         "estimator on {about}: {before_N:.3g} to {value:.3g} {unit} rms, {percent:.0f} % less",
     )
     FITTED = "error", "yes", "held-out residual {value:.3g} {unit} rms of {friction_N:.3g}, noise floor {floor_N:.3g}"
+    RAN = "error", "yes", "{about} leave {value:.3g} {unit} on average over {count:.0f} runs, at most {most:.3g}"
     # numbers
     DETERMINED = "number", "yes", ""
     REFITTED = "number", "yes", "refitted"

@@ -6,6 +6,7 @@ from sgms_mhe.model.effects.base import reported_name as reported_name
 from sgms_mhe.model.effects.catalogue import CAUSE_NAMES as CAUSE_NAMES
 from sgms_mhe.model.effects.catalogue import EFFECT_NAMES as EFFECT_NAMES
 from sgms_mhe.model.effects.catalogue import GEAR_FRICTION as GEAR_FRICTION
+from sgms_mhe.model.effects.catalogue import PLAY as PLAY
 from sgms_mhe.model.effects.catalogue import WEIGHT as WEIGHT
 from sgms_mhe.model.effects.catalogue import broken_effects as broken_effects
 from sgms_mhe.model.effects.catalogue import cause as cause
