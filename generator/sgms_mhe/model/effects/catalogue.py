@@ -157,8 +157,9 @@ def effect_names(kind: Kind | None = None) -> tuple[str, ...]:
 WEIGHT: Final = "unbalance"
 """Effect that is the weight of an arm, on a rotary axis that rests at 0."""
 GEAR_FRICTION: Final = "load_dependent_friction"
-PLAY: Final = "backlash"
 """Effect that is the friction of a gear under its load."""
+PLAY: Final = "backlash"
+"""Effect that is the play of a gear."""
 
 
 def mass_effect() -> tuple[str, str]:
