@@ -27,8 +27,10 @@ from sgms_mhe.diagnosis.transfer import judge_on_records
 from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.free_run import run_freely
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log, write_log
+from sgms_mhe.support.statements import Rule
 
 FINE_RIPPLE = ("force_ripple", {"amplitude_N": 0.7, "pitch_m": 0.0053, "phase_rad": -1.1})
 FORCE_AGE_s = 3.4e-4
@@ -160,6 +162,13 @@ def test_errors_of_the_written_file_are_those_of_predict(machine: Machine) -> No
         assert error == pytest.approx(stated.residual_rms_N, rel=1e-12)
         assert written.force == pytest.approx(stated.force_rms_N, rel=1e-12)
     assert written.after < 0.9 * written.before
+    assert found.extended is not None
+    for file, error in zip((machine, found.extended), written.motion, strict=True):
+        run = run_freely(file, log)
+        assert error == pytest.approx(np.sqrt(np.nanmean((run.simulated_position_m - run.position_m) ** 2)))
+    assert [said.rule for said in written.state("force")] == [Rule.WRITTEN, Rule.FREE_RUN]
+    alone = WrittenError.measure(machine, found.extended, replace(log, force_N=log.force_N, friction_N=log.force_N))
+    assert [said.rule for said in alone.state("force")] == [Rule.WRITTEN]  # friction alone moves nothing
 
 
 def test_records_that_do_not_show_a_cause_say_nothing_of_it(machine: Machine) -> None:

@@ -411,7 +411,7 @@ class Diagnosis(Shown):
         for record in self.records[1:] if self.extended is not None else ():
             if record.is_worse_than_plain:
                 yield self._state(Rule.NOT_RECOMMENDED, record.name, record.held_out_after, plain_N=record.plain)
-        yield from (one.state(push) for one in self.written if self.extended is not None)
+        yield from (said for one in self.written if self.extended is not None for said in one.state(push))
 
     def _state_base(self) -> Iterator[Statement]:
         """Yield the machine's numbers but those of causes: that differ between records, are refuted, are refitted."""

@@ -293,6 +293,17 @@ def run_freely(
     )
 
 
+def measure_free_run(machine: Machine, log: Log) -> float:
+    """Return the RMS error of a free run along a log [m]; NaN where the log allows none, or the model runs away."""
+    try:
+        record = MotionRecord(machine, log)
+    except InputError:
+        return math.nan
+    runs, _ = record.run(record.axis(machine), record.stretches)
+    parts = zip(runs, record.stretches, strict=True)
+    return float(np.sqrt(np.mean(np.concatenate([run - record.position[a:b] for run, (a, b) in parts]) ** 2)))
+
+
 def spread_shots(record: MotionRecord, length: int, count: int) -> list[tuple[int, int]]:
     """Return shots of a length [samples], at most so many, that start evenly over all places where one fits."""
     places = np.concatenate([np.arange(a, b - length + 1) for a, b in record.stretches])

@@ -69,6 +69,7 @@ class Rule(Enum):
     LEARNED_WORSE = "learned", "no", "what was learned is left out: on {about} {before_N:.3g} {unit} go to " + _PLAIN
     SEEN = "error", "yes", "{about}, unseen data: " + _SHARES + "; Coulomb and viscous friction {plain:.3g} %"
     WRITTEN = "error", "yes", "{about}, as the files have it: " + _SHARES
+    FREE_RUN = "error", "yes", "{about}, free run of the files: {before:.3g} {unit} rms before, {value:.3g} after"
     PREDICTION = (
         "error",
         "yes",
