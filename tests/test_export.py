@@ -21,10 +21,11 @@ import sgms_mhe
 from cli_cases import SMALL, done, refused
 from export_cases import BASES, FORMS, SUFFIX, machine_of_effect, machine_with
 from package_variants import EFFECTS, GEARED
-from sgms_mhe.configuration import load_machine, make_machine, override_machine
+from sgms_mhe.configuration import load_machine, make_machine, override_machine, step_every_sample
 from sgms_mhe.emission.axis_equations import axis_model
 from sgms_mhe.emission.axis_forms import axis_numbers
 from sgms_mhe.emission.friction_table import choose_knots, steady_friction
+from sgms_mhe.evaluation.prediction import predict_signals
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.chain import Signals, signals_from_log
@@ -136,6 +137,19 @@ def test_steady_friction_is_the_curve_of_the_law(base: str) -> None:
     machine, speed = load_machine(base), np.geomspace(1e-4, 1.0, 30)
     np.testing.assert_allclose(steady_friction(machine, speed), law_of(machine, speed), rtol=2e-3)
     np.testing.assert_allclose(steady_friction(machine, -speed), -law_of(machine, speed), rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    "name", ["backlash", "frictional_lag", "hose_hysteresis", "dwell_dependence", "asymmetric_coulomb"]
+)
+def test_steady_friction_with_an_effect_is_where_the_model_comes_to(name: str) -> None:
+    """Along a motion at constant speed; states of effects too, which follow at their own pace."""
+    machine, count = machine_of_effect(name), 40000
+    time, none, every = np.arange(count) * machine.sampling.step, np.zeros(count), np.ones(count, dtype=bool)
+    for speed in (0.004, -0.05):
+        signals = Signals(time, speed * time, none + speed, none, none, none, every, ~every)
+        friction = predict_signals(step_every_sample(machine), signals).friction_N
+        assert steady_friction(machine, np.array([speed]))[0] == pytest.approx(friction[-1], rel=1e-4)
 
 
 def test_a_drag_is_in_the_table_and_forces_of_place_are_not() -> None:
@@ -392,6 +406,30 @@ def test_it_is_written_to_a_pipe_as_well() -> None:
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert process.stdout == sgms_mhe.export("etel_xy", "csv").text and "holds: " in process.stderr
+
+
+def test_without_a_form_every_error_is_stated(recorded: Path) -> None:
+    machine, log = recorded / "small.toml", recorded / "log.csv"
+    rows = dict(line.split(": ", 1) for line in done("export", machine, "--log", log).stdout.splitlines())
+    found = json.loads(done("export", machine, "--log", log, "--json").stdout)
+    assert list(rows) == list(found) and set(rows) == {*FORMS, "bam"}
+    for form, row in rows.items():
+        error = found[form]
+        if isinstance(error, dict):
+            assert row.startswith(f"{error['rms_N']:.3g} N rms, {100.0 * error['relative']:.3g} %")
+        else:
+            assert row == (error or "none")
+    assert found["mujoco"]["rms_N"] < found["urdf"]["rms_N"] and rows["bam"].startswith("refused, rotary")
+
+
+def test_a_drive_s_constants_go_to_bam_alone() -> None:
+    drive = {"kind": "voltage", "torque_constant": 1.2, "resistance": 2.5, "supply": 12.0}
+    axis = override_machine(load_machine("etel_xy_rotary"), {"drive": drive})
+    found = json.loads(sgms_mhe.export(axis, "bam").text)
+    assert (found["kt"], found["R"]) == (1.2, 2.5)
+    assert "p3839" in sgms_mhe.export(axis, "sinamics-table").text
+    with pytest.raises(InputError, match="no other simulator's form holds a drive"):
+        sgms_mhe.export(axis, "mujoco")
 
 
 def test_an_earlier_file_stays_where_the_log_is_refused(recorded: Path, tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def command(
     if to == "all":
         if out is not None or log is None:
             raise InputError("export", "--to", None, "a form and --out, or --log alone for the error of each")
-        common.show(_compare_forms(machine, log))
+        common.show(_compare_forms(machine, log, json=json))
         return
     if out is None:
         raise click.UsageError("Missing option '--out'.")
@@ -79,20 +79,25 @@ def command(
     common.show("\n".join(lines), out)
 
 
-def _compare_forms(machine: Machine, log: Path) -> str:
-    """Return the error of each form along a log, one a line."""
+def _compare_forms(machine: Machine, log: Path, *, json: bool) -> str:
+    """Return the error of each form along a log: one a line, or as JSON."""
     from sgms_mhe.api import exporting
     from sgms_mhe.api.inputs import recorded_log
 
-    source, lines = recorded_log(log, machine, note=common.note), []
+    source, units = recorded_log(log, machine, note=common.note), machine.plant.units
+    content: dict[str, Any] = {}
+    lines = []
     for form in exporting.FORMS:
         try:
             error = exporting.export(machine, form, log=source, points=20 if form == "csv" else None).error
         except InputError as refusal:
-            lines.append(f"{form}: refused, {refusal.allowed}")
-            continue
-        size = (
-            error and f"{error.rms:.3g} {machine.plant.units.force} rms, {100.0 * error.relative:.3g} % of the friction"
-        )
-        lines.append(f"{form}: {size or 'none'}")
-    return "\n".join(lines)
+            content[form] = text = f"refused, {refusal.allowed}"
+        else:
+            content[form] = error and error.content
+            text = (
+                f"{error.rms:.3g} {units.force} rms, {100.0 * error.relative:.3g} % of the friction"
+                if error
+                else "none"
+            )
+        lines.append(f"{form}: {text}")
+    return common.json_text(units.keyed(content)) if json else "\n".join(lines)

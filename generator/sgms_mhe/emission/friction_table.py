@@ -7,7 +7,6 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import root
 
 from sgms_mhe.emission.axis_equations import axis_model
 from sgms_mhe.emission.axis_forms import TABLES, WrittenAxis, render_form
@@ -20,8 +19,9 @@ SPEEDS: Final = 200
 """Of the law that a table is chosen by."""
 USUAL: Final = 20
 """Points of a table where the form takes more."""
-BEYOND: Final = 10.0
-"""Deflection over that at the Coulomb level from which elements come to their own."""
+FIRST_STEP: Final = 1e-6
+"""s."""
+STEPS: Final = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,21 +95,22 @@ def _goes_with_speed(machine: Machine, label: str) -> bool:
 
 
 def steady_friction(machine: Machine, velocity: Array) -> Array:
-    """Return the friction (n) at constant velocities (n), when all deflections have come to rest."""
+    """Return the friction (n) at constant velocities (n), when all deflections have come to rest.
+
+    From rest by implicit Euler steps, each twice as long as the one before: the first ones follow the motion, the last
+    ones solve for where it ends.
+    """
     model = axis_model(machine).model
     states = [model.chi, model.w, model.theta]
     rates = ca.Function("rates", states, [model.rhs, ca.jacobian(model.rhs, model.chi)])
     output = ca.Function("friction", states, [model.output])
     nominal, found = [parameter.nominal for parameter in model.parameters], []
     for v in velocity.tolist():
-
-        def rate(chi: Array, w: tuple[float, ...] = (0.0, v, 0.0, 0.0, 0.0)) -> tuple[Array, Array]:
-            value, slope = rates(chi, w, nominal)
-            return np.array(value).ravel(), np.array(slope)
-
-        start = np.concatenate([np.full(model.n_z, np.sign(v) * BEYOND), np.zeros(model.n_x - model.n_z)])
-        chi = root(rate, start, jac=True, method="lm").x
-        found.append(float(output(chi, (0.0, v, 0.0, 0.0, 0.0), nominal)))
+        chi, w = np.zeros(model.n_x), (0.0, v, 0.0, 0.0, 0.0)
+        for step in FIRST_STEP * 2.0 ** np.arange(STEPS):
+            rate, slope = (np.array(value) for value in rates(chi, w, nominal))
+            chi = chi + np.linalg.solve(np.eye(model.n_x) / step - slope, rate).ravel()
+        found.append(float(output(chi, w, nominal)))
     return np.array(found)
 
 

@@ -70,8 +70,8 @@ def form_error(machine: Machine, written: WrittenAxis, log: Log) -> FormError | 
     """Compare the friction that a form holds with the model's along the motion in a log, force by force.
 
     The force of an effect, or of the Stribeck effect, is the model's friction minus that of the model without it; the
-    share of it that a form has as inertia is not lost. Presliding is the force of the elements without all these; its
-    loss is the difference from Coulomb friction as the form's simulator computes it.
+    share of it that a form has as inertia is not lost. Presliding is the force of the law without all these; its loss
+    is the difference from friction as the form's simulator computes it.
 
     Returns:
         The error; None where the form holds the whole law and every effect.
