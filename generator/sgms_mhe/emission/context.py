@@ -24,6 +24,7 @@ from sgms_mhe.emission.variant import Status, Variant, statuses_of, variant_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model
 from sgms_mhe.signals.chain import bridge_fading, lowpass_coefficients, mean_samples, settle_samples
+from sgms_mhe.support.errors import InputError
 
 MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
@@ -229,9 +230,10 @@ class PackageView:
 
 
 def package_view(structure: Structure) -> PackageView:
-    """Assemble what the templates of a model's package read, self-test vectors aside."""
-    model = structure.model
-    machine = model.machine
+    """Assemble what templates read of a model, self-test vectors aside. Raises InputError: it has no parameter."""
+    model, machine = structure.model, structure.model.machine
+    if model.n_p == 0:
+        raise InputError(machine.source, "estimator.parameters", [], "at least one parameter to estimate")
     printer = CPrinter(machine.code.precision)
     functions = FunctionPrinter(structure, printer)
     variant = variant_of(model)

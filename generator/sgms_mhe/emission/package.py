@@ -13,11 +13,10 @@ from sgms_mhe.emission.delivery import accompany, write_folder
 from sgms_mhe.emission.layout import memory_of
 from sgms_mhe.emission.rendering import amalgamate_files, render, stamp_digest
 from sgms_mhe.emission.selftest import selftest_vectors
-from sgms_mhe.emission.structure import Structure, analyse, report
+from sgms_mhe.emission.structure import analyse, report
 from sgms_mhe.emission.work import work_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import Presentation, Shown
 from sgms_mhe.support.paths import runtime_dir
 
@@ -60,7 +59,7 @@ def emit_package(
         InputError: the machine asks for something that cannot be emitted; the message says what.
     """
     bound = binding_files(tuple(bindings), machine.name)
-    structure = _analyse(model or build_model(machine))
+    structure = analyse(model or build_model(machine))
     view = package_view(structure)
     work = work_of(view)
     view = replace(view, work=work)
@@ -81,14 +80,8 @@ def emit_package(
 
 def emit_model(model: Model) -> Package:
     """Generate the headers by which a model runs without its estimator, on a host. Raises InputError likewise."""
-    view = package_view(_analyse(model))
+    view = package_view(analyse(model))
     return Package(model.machine, render(view, model_alone=True) | _runtime(view))
-
-
-def _analyse(model: Model) -> Structure:
-    if model.n_p == 0:
-        raise InputError(model.machine.source, "estimator.parameters", [], "at least one parameter to estimate")
-    return analyse(model)
 
 
 def _runtime(view: PackageView) -> dict[str, str]:

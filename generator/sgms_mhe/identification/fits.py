@@ -317,11 +317,9 @@ def fit_axis(
 
 def hold_shape(view: RecordView, fit: AxisFit) -> AxisFit:
     """Return a fit whose cross-validation holds its shape: one that turns within a sample has steep slopes in that."""
-    linear = np.ones(fit.jacobian.shape[1], dtype=np.bool_)
+    linear = np.any(fit.jacobian != 0.0, axis=0)
     linear[: len(fit.levels)] = False
-    if fit.shape.rise is not None:
-        linear[2 * len(fit.levels) : 2 * len(fit.levels) + 2] = False
-    linear &= np.any(fit.jacobian != 0.0, axis=0)
+    linear[2 * len(fit.levels) : len(linear) - len(fit.coefficients)] = False
     return replace(fit, cross=cross_loss(view.rows, fit.jacobian[:, linear], fit.residual, fit.prior[linear]))
 
 

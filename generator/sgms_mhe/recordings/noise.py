@@ -15,7 +15,7 @@ from scipy.special import chdtr, chdtri
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.lines import Lines
 from sgms_mhe.signals.chain import lowpass_coefficients
-from sgms_mhe.support.arrays import Array, Mask
+from sgms_mhe.support.arrays import Array
 
 SMOOTH_ORDER: Final = 2  # of the polynomial that is smooth over a piece
 QUIETEST: Final = 0.1  # of the pieces: those that hold nothing but noise, if any do
@@ -89,7 +89,7 @@ def quiet_variance(pieces: Array, colour: Colour, coordinates: tuple[Array, ...]
         That of all, and that of the background: without lines of the spectra over the coordinates.
     """
     rest = pieces - pieces @ colour.basis @ colour.basis.T
-    whole = _find_quiet(rest, colour).variance(rest, colour)
+    whole = _measure_quiet(rest, colour)
     first = max(0, (len(rest) - LONGEST) // 2)
     part = slice(first, first + LONGEST)
     return whole, whole * _background_share(rest[part], colour, tuple(at[part] for at in coordinates))
@@ -97,38 +97,21 @@ def quiet_variance(pieces: Array, colour: Colour, coordinates: tuple[Array, ...]
 
 def _background_share(rest: Array, colour: Colour, coordinates: tuple[Array, ...]) -> float:
     """Share of the noise in what a polynomial leaves (k, width) that is no line."""
-    quiet = _find_quiet(rest, colour)
-    whole = least = quiet.variance(rest, colour)
+    whole = least = _measure_quiet(rest, colour)
     lines, left = Lines(coordinates, colour.basis), rest
     while (found := lines.add_line(rest, left)) is not None:
         left = found
-        least = min(least, _find_quiet(left, colour).variance(left, colour))
+        least = min(least, _measure_quiet(left, colour))
     return least / whole if whole > 0.0 else 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Quiet:
-    """Pieces (k) of which a polynomial leaves noise alone, its mean square, and that of the pieces over it."""
-
-    pieces: Mask
-    mean: float
-    share: float
-
-    def variance(self, rest: Array, colour: Colour) -> float:
-        """Variance of the noise, from what the polynomial leaves (k, width)."""
-        if not self.pieces.any():
-            return self.mean / float(colour.left[0])
-        products = np.sum(rest[self.pieces, 1:] * rest[self.pieces, :-1], axis=1)
-        return _solve_both(self.mean, float(np.mean(products)) / rest.shape[1] / self.share, colour)
-
-
-def _find_quiet(rest: Array, colour: Colour) -> _Quiet:
-    """The pieces (k) of what a polynomial leaves (k, width) that noise alone would make."""
+def _measure_quiet(rest: Array, colour: Colour) -> float:
+    """Variance of the noise in the pieces of what a polynomial leaves (k, width) that noise alone would make."""
     power = np.mean(rest**2, axis=1)
     likely, quietest = chdtri(colour.freedom, 1.0 - np.array([LIKELY, QUIETEST])).tolist()
     most = likely / colour.freedom
     share = float(chdtr(colour.freedom + 2.0, likely)) / LIKELY  # of the mean, below that
-    mean = float(np.quantile(power, QUIETEST)) / quietest * colour.freedom
+    mean = float(np.quantile(power, QUIETEST) / quietest * colour.freedom)
     quiet = power <= most * mean
     for _ in range(ROUNDS):
         if not quiet.any():
@@ -137,7 +120,10 @@ def _find_quiet(rest: Array, colour: Colour) -> _Quiet:
         quiet = power <= most * mean
         if abs(mean - before) <= SAME * before:
             break
-    return _Quiet(quiet, mean, share)
+    if not quiet.any():
+        return mean / float(colour.left[0])
+    products = np.sum(rest[quiet, 1:] * rest[quiet, :-1], axis=1)
+    return _solve_both(mean, float(np.mean(products)) / rest.shape[1] / share, colour)
 
 
 def _solve_both(mean: float, following: float, colour: Colour) -> float:
