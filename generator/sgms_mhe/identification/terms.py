@@ -197,8 +197,8 @@ def level_terms(
         if definition.linear:
             terms += [Term(definition.name, search.columns(apart, {}))] if known is not None else []
             continue
-        several = tuple(search.places(motion)) if known is not None else ()
-        tried = [({},), several] if several else [({},)]
+        several = tuple(search.places(motion))
+        tried = [({},), several] if known is not None and len(several) > 1 else [({},)]
         for own in tried if places is None else [places[definition.name]]:
             columns = np.column_stack([search.columns(motion, place) for place in own])
             columns *= np.abs(sliding)[:, None]

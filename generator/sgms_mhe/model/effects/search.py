@@ -22,11 +22,6 @@ Grid = Callable[[MotionRecord], Sequence[Values]]
 """Trial values of what an effect is not linear in, from the record that is searched."""
 
 
-def no_places(_: MotionRecord) -> Sequence[Values]:
-    """No numbers but those that are not given."""
-    return ()
-
-
 def no_grid(_: MotionRecord) -> Sequence[Values]:
     """One trial: an effect that is linear in everything."""
     return ({},)
@@ -62,7 +57,7 @@ class Columns:
     tests: float = 1.0
     own_size: str | None = None
     exact: str | None = None
-    places: Grid = no_places
+    places: Grid = no_grid
     rise: str = ""
     costly: ClassVar[bool] = False
 
