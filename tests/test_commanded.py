@@ -16,7 +16,7 @@ from cli_cases import done, files, refused
 from sgms_mhe.api.estimation import predict
 from sgms_mhe.api.exporting import export
 from sgms_mhe.api.identification import identify
-from sgms_mhe.api.inputs import read_log
+from sgms_mhe.api.inputs import read_log, read_logs
 from sgms_mhe.configuration import carry_load, make_machine, override_machine
 from sgms_mhe.identification.writing import machine_toml
 from sgms_mhe.machine import Machine
@@ -24,6 +24,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.recordings.free_run import MotionRecord, run_freely
+from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.statements import Rule
@@ -188,6 +189,26 @@ def test_what_only_a_force_has_is_refused(servo: Machine, tmp_path: Path) -> Non
         (("predict", machine, log, "--out", tmp_path / "p.csv"), "--free-run"),
     ):
         assert said in refused(*words)
+
+
+def test_a_drive_that_is_off_has_no_force_to_measure(servo: Machine) -> None:
+    log = record(servo, 0)
+    on = log.time_s < 2.0
+    driven = replace(log, force_N=np.where(on, 0.3, 0.0), enabled=np.where(on, 1.0, 0.0))
+    assert np.array_equal(np.isfinite(readings(driven).force_N), on)
+    assert np.isfinite(readings(replace(driven, enabled=None)).force_N).all()
+
+
+def test_runs_at_several_rates_share_the_lowest(servo: Machine, tmp_path: Path) -> None:
+    for k, rate in enumerate((100.0, 125.0)):
+        entries = [
+            {"timestamp": j / rate, "position": 1e-3 * (j % 2), "goal_position": 0.0, "torque_enable": True}
+            for j in range(200)
+        ]
+        run = {"mass": 0.5, "length": 0.1, "kp": 16, "vin": 12.0, "entries": entries}
+        (tmp_path / f"{k}.json").write_text(json.dumps(run))
+    logs = read_logs([tmp_path / "0.json", tmp_path / "1.json"], note=lambda _: None)
+    assert [log.rate for log in logs] == pytest.approx([100.0, 100.0])
 
 
 def test_command_and_function_predict_the_same_motion(servo: Machine, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from sgms_mhe.logfiles.frames import FRAME, Frame, read_frame
 from sgms_mhe.logfiles.plausibility import check_has_force, check_plausible
 from sgms_mhe.logfiles.reading import check_kind, log_of, understand, understand_table
 from sgms_mhe.machine import Machine, log_mapping
-from sgms_mhe.signals.logs import Log, check_rate
+from sgms_mhe.signals.logs import JITTER, Log, check_rate
 from sgms_mhe.support.errors import LogWarning
 from sgms_mhe.support.notebooks import read_only
 
@@ -104,18 +104,19 @@ def read_logs(
     table: Mapping[str, Any] | None = None,
     note: Note | None = None,
 ) -> list[Log]:
-    """Read the logs of one axis, at one rate where `[log]` has them resampled: the lowest of theirs, or the machine's.
+    """Read the logs of one axis, at one rate where they are resampled: the lowest of theirs, or the machine's.
 
     Arguments and errors are those of `read_log`.
     """
     sources, table = list_sources(logs), dict(table or {})
-    if machine is not None or not table.get("resample") or "rate" in table:
+    if machine is not None or "rate" in table:
         return [read_log(log, machine, table=table, note=note) for log in sources]
     notes: list[list[str]] = [[] for _ in sources]
     read = [read_log(log, table=table, note=said.append) for log, said in zip(sources, notes, strict=True)]
-    table["rate"] = min((log.rate for log in read), default=None)
+    if table.get("resample") or any(log.run for log in read):
+        table |= {"resample": True, "rate": min(log.rate for log in read)}
     for k, log in enumerate(read):
-        if log.rate != table["rate"]:
+        if abs(log.rate - table.get("rate", log.rate)) > JITTER * log.rate:
             notes[k].clear()
             read[k] = read_log(sources[k], table=table, note=notes[k].append)
         for sentence in notes[k]:

@@ -27,6 +27,8 @@ _NEVER = int(np.iinfo(np.int64).max)
 """Samples since a sample that was missing, where none was."""
 
 FARTHEST_m = 4e6
+OFF = 0.5
+"""Of a column that says at which samples a drive is on: up to it the drive is off."""
 BACK_S = 0.02
 """A position that jumps away and is back within this time [s] has not moved."""
 LARGEST_SIGNAL = 1e9
@@ -253,6 +255,8 @@ def readings(log: Log) -> Log:
     spoilt: dict[str, Any] = {
         name: np.where(jumped, np.nan, log.columns[name]) for name, jumped in find_lost(log).items() if jumped.any()
     }
+    if log.enabled is not None:  # the windings are open: what stands for the force then is another thing
+        spoilt["force_N"] = np.where(log.enabled > OFF, spoilt.get("force_N", log.force_N), np.nan)
     return replace(log, **spoilt) if spoilt else log
 
 
