@@ -92,14 +92,15 @@ def command(
         if free_run:
             motion = run_freely(machine, recorded, start_s=start_s, end_s=end_s, tolerance_m=tolerance_m)
         prediction = predict_log(machine, recorded, motion)
+    window: dict[str, Any] = {"start_s": start_s, "end_s": end_s, "factor": decimate}
+    error = None if prediction.is_motion else force_error(prediction, **window)
     write_prediction(out, prediction)
     if plot is not None:
         _draw(prediction, plot)
     units, undetermined = machine.plant.units, found is not None and not found.is_determined
     result: dict[str, Any] = {"machine": machine.name, "samples": len(prediction.time_s)}
     said = [] if found is None else [found.describe(units)]
-    if not prediction.is_motion:
-        error = force_error(prediction, start_s=start_s, end_s=end_s, factor=decimate)
+    if error is not None:
         try:
             measured = measure_residual(machine, recorded)
         except InputError:  # too few samples for a diagnosis
