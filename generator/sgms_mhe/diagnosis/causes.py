@@ -8,9 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, hangs_on_time, material_force, small_force
 from sgms_mhe.diagnosis.final_fit import FinalFit, split_rms
 from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, fit_model, report_name, report_values
@@ -31,7 +28,6 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import gain_force, gain_interval, inconstancy
 from sgms_mhe.support.decisions import log_decision
 
-Array = NDArray[np.float64]
 SIGMAS: Final = 2.0
 """Difference from none, or from the machine file, that a size must have [standard deviations]: 95 %, as the interval of
 its gain."""

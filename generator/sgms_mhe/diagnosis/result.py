@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.combinations import KnownCombination
 from sgms_mhe.diagnosis.document import make_document
@@ -23,12 +22,11 @@ from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.model.effects import reported_name, separating_moves
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 from sgms_mhe.support.statements import Rule, Statement, list_open
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Verdict = Literal["explained", "unexplained", "ambiguous", "adequate"]
 StandsFor = Literal["", "curve over speed", "what has no name"]
 Standing = Literal["certain", "limited", "undecided", "failed", "nothing"]

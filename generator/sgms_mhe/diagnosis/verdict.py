@@ -9,7 +9,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import drop_disturbance
 from sgms_mhe.diagnosis.alignment import (
@@ -58,8 +57,6 @@ from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import beside
-
-Array = NDArray[np.float64]
 
 EXCITED: Final = 0.05
 """Range of the simulated friction below which a record says nothing of it [f_C]: the axis hardly moves."""

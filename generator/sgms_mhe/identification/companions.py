@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.identification.fits import AxisFit, RecordView, fit_axis
 from sgms_mhe.identification.record_numbers import fit_record_terms
@@ -33,9 +32,8 @@ from sgms_mhe.model.effects import effect_definition, separating_moves
 from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.decisions import log_decision
-
-Array = NDArray[np.float64]
 
 
 def add_companions(

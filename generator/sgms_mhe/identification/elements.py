@@ -19,16 +19,15 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.model.effects import effect_definition, effect_names
 from sgms_mhe.model.effects.search import Columns
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.parallel import run_parallel
 
-Array = NDArray[np.float64]
 Law = Literal["sgms", "switching"]
 
 RATIO_SCALE: Final = 1e-3

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.identification.companions import (
     add_companions,
@@ -59,10 +58,8 @@ from sgms_mhe.identification.terms import (
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import largest_force
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.decisions import log_decision
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SHOWN: Final = 2.0
 """Standard deviations by which a number differs from none."""

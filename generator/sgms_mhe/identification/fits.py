@@ -20,7 +20,6 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, least_distance, run_elements
 from sgms_mhe.identification.records import ElementMotion
@@ -38,9 +37,7 @@ from sgms_mhe.recordings.evidence import (
 )
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise, solve_nonnegative
 from sgms_mhe.recordings.recording import Recording
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Mask
 
 LONGEST: Final = 0.7
 """Largest change of a logarithm, and of the Stribeck ratio over 1 + itself, in one step."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.identification.commanded import identify_commanded
@@ -65,8 +64,6 @@ from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import one_library_thread
 from sgms_mhe.support.statements import Rule, Statement, list_open
-
-Array = NDArray[np.float64]
 
 LEAST_TRAVEL: Final = 20.0
 """Travel over the resolution of the position below which nothing moved."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.identification.fits import NOTHING, AxisFit, NumberEstimate, RecordView
 from sgms_mhe.identification.search import Views
@@ -20,8 +19,7 @@ from sgms_mhe.identification.terms import (
     record_terms,
 )
 from sgms_mhe.machine import Units
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 
 def fit_record_terms(views: Views, fit: AxisFit) -> tuple[Term, ...]:

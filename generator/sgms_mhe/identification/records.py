@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from sgms_mhe.machine import Machine
@@ -29,9 +28,7 @@ from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import apply_chain, chain_delay, readings, settle_samples
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import encoder_step, noise_course
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from sgms_mhe.support.arrays import Array, Mask
 
 FORGOTTEN: Final = 2.0
 """Excursion after which an element does not remember its start, over its break-away distance."""

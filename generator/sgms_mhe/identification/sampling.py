@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.identification.spectrum import BOTH_WAYS
@@ -19,8 +18,6 @@ from sgms_mhe.recordings.encoder import encoder_noise
 from sgms_mhe.recordings.recording import BLOCK_MAX, BLOCK_ROWS_MIN, add_encoder, prepare
 from sgms_mhe.signals.logs import JITTER, Log, advise_time_unit
 from sgms_mhe.support.errors import InputError
-
-Array = NDArray[np.float64]
 
 UPDATE_RATE: Final = 100.0
 """Estimates per second [Hz], or next to it what divides the sample rate."""

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, run_elements
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis
@@ -21,9 +20,9 @@ from sgms_mhe.identification.spectrum import Spectrum, cluster, distance_grid, f
 from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
 from sgms_mhe.recordings.evidence import difference_statistic
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.decisions import log_decision
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 LAWS: Final[tuple[Law, ...]] = ("switching", "sgms")

@@ -25,9 +25,8 @@ from sgms_mhe.identification.records import Records
 from sgms_mhe.identification.terms import Term
 from sgms_mhe.model.effects.base import LARGEST_RISE
 from sgms_mhe.recordings.least_squares import solve_nonnegative
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.parallel import run_parallel
-
-Array = NDArray[np.float64]
 
 SMALLEST: Final = 20e-9
 """Smallest break-away distance [m], where the encoder tells that much."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE, run_elements
 from sgms_mhe.identification.fits import RecordView
@@ -28,9 +27,8 @@ from sgms_mhe.identification.terms import (
 )
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.decisions import log_decision
-
-Array = NDArray[np.float64]
 
 SCALINGS: Final = 2
 """Times that the levels of records are found beside each other [1]: each to first order."""

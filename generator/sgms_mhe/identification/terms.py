@@ -9,15 +9,13 @@ from typing import Final
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import Stribeck
 from sgms_mhe.model.effects import EffectDefinition, effect_definition, effect_names
 from sgms_mhe.model.effects.motion import MotionRecord, shift_to_sample
 from sgms_mhe.model.effects.search import Columns, CurveColumns
 from sgms_mhe.recordings.recording import Recording
-
-Array = NDArray[np.float64]
+from sgms_mhe.support.arrays import Array
 
 LATE: Final = "late"
 """Name of the time [s] by which the force comes late."""

@@ -11,16 +11,14 @@ from functools import lru_cache, partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.machine import Drive, Friction, Machine, Plant, Smoothing
 from sgms_mhe.model.effects import EffectParameter, Value, effect_definition, effect_names
 from sgms_mhe.plant.axis_config import CONTROLS, LAWS, MAX_SUBSTEPS, SUBSTEP_S, AxisConfig, Controller
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import load_library, shared_library
-
-Array = NDArray[np.float64]
 
 SOURCES: Final = ("axis.c", "axis_drive.c", "axis_effects.c")
 DRIVES: Final = ("voltage", "position_loop")

@@ -16,7 +16,6 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Value
@@ -30,10 +29,10 @@ from sgms_mhe.plant.native import (
 )
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import Presentation, Shown
 
-Array = NDArray[np.float64]
 Drift = Callable[[float], float]
 """Multiplier of a true parameter over time [s]; see `linear_drift`."""
 

@@ -13,11 +13,9 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,9 @@ from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.drive import command_of, switched_on
 from sgms_mhe.signals.logs import Log, check_rate
 from sgms_mhe.signals.noise import encoder_step, position_noise
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
-
-Array = NDArray[np.float64]
 
 FIRST: Final = 20
 """Samples that a start is estimated from, and that are not compared."""

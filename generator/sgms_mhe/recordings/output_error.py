@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from sgms_mhe.machine import Machine
@@ -22,9 +21,9 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.free_run import FIRST, MotionRecord, ShotStart
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.parallel import run_parallel
 
-Array = NDArray[np.float64]
 Objective = Literal["force", "motion", "both"]
 Shots = list[tuple[int, int]]
 Starts = list[list[ShotStart]]

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import hold_last
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 def command_of(log: Log, machine: Machine) -> Array | None:
