@@ -118,11 +118,8 @@ int sgms_predict(
             } else {
                 blocks_states(&at, blocks, map.x);
             }
-            put_force(map.x,
-                sensitivity,
-                signals + SIGNALS * k,
-                at.theta,
-                force + row,
+            put_force(
+                map.x, sensitivity, signals + SIGNALS * k, at.theta, force + row,
                 d_force ? d_force + row * PARAMETERS : 0);
         }
     }

@@ -21,8 +21,9 @@ from scipy.integrate import solve_ivp
 
 from c_packages import PRECISIONS, QUICK, Array, compile_probe, elements, machine, pointer, scheme, written
 from reference_cases import moving
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.host.compiled import replay_definitions
+from sgms_mhe.host.compiled import CompiledModel, replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.reference.flow import Flow
@@ -367,3 +368,18 @@ def test_single_precision_kernel_follows_double(kernel: Any) -> None:
             w = signal_array(moving(trapezoid(peak)), 1e-4)
             forces = [k.run(w, np.zeros(4), np.ones(4))[2] for k in (single, double)]
             assert np.abs(forces[0] - forces[1]).max() < 1e-4 * np.ptp(forces[1])
+
+
+def test_force_at_the_last_of_some_samples() -> None:
+    code = CompiledModel(load_machine("etel_xy_switching"))
+    n_x, n_p = code.model.n_x, code.model.n_p
+    w = np.zeros((41, 5))
+    w[:, 1] = 0.01 * np.sin(np.arange(41.0))
+
+    def run(rows: int) -> tuple[Array, Array]:
+        force, slopes = np.empty(rows), np.empty((rows, n_p))
+        code.advance(w, np.ones(n_p), np.zeros(n_x), np.zeros((n_x, n_p)), force, slopes)
+        return force, slopes
+
+    for every, all_of_them in zip(run(10), run(41), strict=True):
+        np.testing.assert_array_equal(every, all_of_them[3::4])
