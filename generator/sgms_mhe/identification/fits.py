@@ -129,11 +129,14 @@ class AxisFit:
         return np.asarray(self.jacobian[:, count : 2 * count])
 
     def sliding(self, velocity: Array) -> Array:
-        """Force of the elements over the level that they slip at, at these velocities (m) [m/s]: -1 to 1 (m)."""
+        """Force of the elements over the level that they slip at, at these velocities (m) [m/s]: -1 to 1 (m).
+
+        Where there is no level, friction acts against the velocity.
+        """
         rise, coulomb = self.shape.rise or NO_RISE, self.coulomb
         level = coulomb * (1.0 + rise.ratio * np.exp(-((velocity / rise.velocity) ** 2)))
         force = self.elements @ self.levels
-        return np.clip(force / level, -1.0, 1.0) if coulomb > 0.0 else np.zeros_like(force)
+        return np.clip(force / level, -1.0, 1.0) if coulomb > 0.0 else np.sign(velocity)
 
     @property
     def rms(self) -> float:
