@@ -147,7 +147,8 @@ def make_fit(coulomb: float, sizes: Array) -> AxisFit:
     """Return a fit of one element and a curve of two knots."""
     rows = np.ones(3)
     term = Term("friction_curve", np.ones((3, 4)), given=KNOTS)
-    return AxisFit(None, np.array([coulomb]), (term,), sizes, rows, np.ones((3, 6)), rows, rows, rows, rows)  # type: ignore[arg-type]
+    left = {"residual": rows, "loss": rows, "cross": rows, "rows": rows}
+    return AxisFit(None, np.array([coulomb]), (term,), sizes, np.ones((3, 6)), rows, **left)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("lowest", "possible"), [(-1.9, True), (-2.1, False)])

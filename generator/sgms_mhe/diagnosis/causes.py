@@ -383,7 +383,7 @@ def restore_undetermined(final: FinalFit, found: Confirmed) -> Confirmed:
     names = frozenset(fixed)
     least = fit_model(final.subject, fit.effects, refitted=selection.refitted, warm=fit, fixed=names)
     level = final.subject.machine.diagnosis.material * final.subject.machine.friction.coulomb
-    if gain_force(least.cross, fit.cross, fit.rows) > max(level, MATERIAL_NOISE * final.floor):
+    if fit.gain_over(least) > max(level, MATERIAL_NOISE * final.floor):
         return found
     blind = fit_model(
         final.subject, least.effects, refitted=selection.refitted, warm=least, rows=final.seen, fixed=names
@@ -452,5 +452,5 @@ def _is_consequence(final: FinalFit, selection: Selection, group: ParameterGroup
     fit, plain = selection.fit, fit_model(final.subject, (), refitted=())
     without = fit_model(final.subject, fit.effects, refitted=drop_group(selection.refitted, group), warm=fit)
     alone = fit_model(final.subject, (), refitted=(group,), warm=plain)
-    gained = gain_force(plain.cross, alone.cross, fit.rows)
-    return gained < FOLLOWS * gain_force(without.cross, fit.cross, fit.rows)
+    gained = alone.gain_over(plain)
+    return gained < FOLLOWS * fit.gain_over(without)

@@ -142,7 +142,7 @@ class Criteria:
 
     def is_as_good(self, fit: Fit, other: Fit) -> bool:
         """Return True if another fit's residual is larger by no more than matters, on unseen folds."""
-        return gain_force(other.cross, fit.cross, fit.rows) < self.material
+        return fit.gain_over(other) < self.material
 
     def enough(self, fit: Fit) -> float:
         """Return the least gain of an effect in a fit [N]: one that matters, and a fair share of the residual.

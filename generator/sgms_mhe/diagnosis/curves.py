@@ -19,7 +19,7 @@ from sgms_mhe.diagnosis.structure import leaves_curve
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.effects.motion import shift_to_sample
 from sgms_mhe.model.effects.search import CurveColumns
-from sgms_mhe.recordings.evidence import difference_statistic, gain_force
+from sgms_mhe.recordings.evidence import difference_statistic
 from sgms_mhe.support.decisions import log_decision
 
 
@@ -36,7 +36,7 @@ def fit_curve(subject: Subject, fit: Fit, criteria: Criteria) -> Fit | None:
         return None
     found = [trial for name in names if (trial := _fit_fewest(subject, without, name, criteria)) is not None]
     best = min(found, key=lambda trial: float(trial.cross.sum()), default=None)
-    gain = -math.inf if best is None else gain_force(fit.cross, best.cross, best.rows)
+    gain = -math.inf if best is None else best.gain_over(fit)
     t = 0.0 if best is None else difference_statistic(best.cross, fit.cross)
     added = gain > criteria.enough(fit) and t > EQUAL_T
     log_decision(
@@ -71,6 +71,6 @@ def _fit_fewest(subject: Subject, without: Fit, name: str, criteria: Criteria) -
         trial = try_fit(subject, (*without.effects, make_effect(proposal)), warm=without)
         if trial is None or is_ruled_out(trial, name, subject):
             continue
-        if best is None or gain_force(best.cross, trial.cross, trial.rows) > criteria.material:
+        if best is None or trial.gain_over(best) > criteria.material:
             best = trial
     return best

@@ -18,7 +18,7 @@ from sgms_mhe.diagnosis.result import RivalFit
 from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.search import Step
-from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.evidence import RecordLoss, noise_floor
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.arrays import Array, Mask
 
@@ -28,29 +28,20 @@ floor]: where its lines are, and so how much of their noise passes the low-passe
 
 
 @dataclass(frozen=True, eq=False)
-class RecordResidual:
-    """Residual of a record: `residual` (m) [N], `loss` and `rows` per block as those of a fit."""
-
-    residual: Array
-    loss: Array
-    rows: Array
+class RecordResidual(RecordLoss):
+    """Residual of a record that a fit may have seen parts of."""
 
     @classmethod
     def of(cls, fit: Fit) -> RecordResidual:
         """Return that of the record that was fitted."""
-        return cls(fit.residual, fit.loss, fit.rows)
+        return cls(residual=fit.residual, loss=fit.loss, rows=fit.rows)
 
     @classmethod
     def along(cls, whole: Subject, fit: Fit, sampled: Array) -> RecordResidual:
         """Return that of a whole record, parts of which were fitted; see `find_residual`."""
         residual, recording = find_residual(whole, fit, sampled), whole.recording
         rows = recording.sum_blocks(np.ones(len(residual)))
-        return cls(residual, recording.sum_blocks(residual**2), rows)
-
-    @property
-    def rms(self) -> float:
-        """RMS on used rows [N]."""
-        return math.sqrt(float(self.loss.sum() / self.rows.sum()))
+        return cls(residual=residual, loss=recording.sum_blocks(residual**2), rows=rows)
 
 
 def split_rms(fit: Fit | RecordResidual, recording: Recording) -> tuple[float, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -21,7 +20,7 @@ from sgms_mhe.diagnosis.own_numbers import OwnNumbers
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup, bounds, smooth_law
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition, reported_name
-from sgms_mhe.recordings.evidence import Nuisance, cross_loss, find_nuisance
+from sgms_mhe.recordings.evidence import FitLoss, Nuisance, cross_loss, find_nuisance
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.arrays import Array, Mask
 
@@ -50,7 +49,7 @@ class EffectsError(FitError):
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(FitLoss):
     """A model fitted to a recording.
 
     Attributes:
@@ -59,11 +58,7 @@ class Fit:
         theta: (n_p).
         free: parameters that were fitted (n_p).
         interior: those of them that no bound holds (n_p): the directions that the data may still move.
-        residual: measured minus model (m) [N].
         jacobian: d(model)/d(theta) (m, n_p).
-        loss: sum of squared residuals per block (blocks).
-        cross: the same, each block predicted by a fit without its fold (blocks).
-        rows: used rows per block (blocks).
         own: what each of several joined logs has of its own, taken out of residual and Jacobian; None: there is one.
     """
 
@@ -72,11 +67,7 @@ class Fit:
     theta: Array
     free: Mask
     interior: Mask
-    residual: Array
     jacobian: Array
-    loss: Array
-    cross: Array
-    rows: Array
     own: OwnNumbers | None = None
 
     def find_nuisance(self, used: Mask, held: Mask | None = None) -> Nuisance:
@@ -88,16 +79,6 @@ class Fit:
     def candidate_groups(self) -> tuple[ParameterGroup, ...]:
         """Groups of the effects under test."""
         return tuple(ParameterGroup.candidate(effect.name, i) for i, effect in enumerate(self.effects))
-
-    @property
-    def rms(self) -> float:
-        """RMS of the residual on used rows [N]."""
-        return math.sqrt(float(self.loss.sum() / self.rows.sum()))
-
-    @property
-    def cross_rms(self) -> float:
-        """RMS by cross-validation [N]."""
-        return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
 
     def theta_without(self, groups: Collection[ParameterGroup]) -> Array:
         """The same numbers (n_p), the sizes of these effects set to none."""

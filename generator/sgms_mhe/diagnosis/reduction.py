@@ -84,7 +84,7 @@ def prune_effects(
             ]
         )
         trials = [trial for trial in fits if trial is not None]
-        gains = [gain_force(trial.cross, fit.cross, fit.rows) for trial in trials]
+        gains = [fit.gain_over(trial) for trial in trials]
         stays = not gains or min(gains) > criteria.material
         log_decision(
             "reduction",
@@ -113,7 +113,7 @@ def find_wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[
     named: Groups = ()
     current = fit_model(subject, effects, refitted=(), warm=everything)
     while True:
-        missing = gain_force(current.cross, everything.cross, fit.rows)
+        missing = everything.gain_over(current)
         rest = [group for group in machine_groups(subject.machine) if group not in named]
         if missing < material or not rest:
             break
@@ -122,7 +122,7 @@ def find_wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[
         if not trials:
             break
         best = min(trials, key=lambda group: float(trials[group].cross.sum()))
-        if gain_force(current.cross, trials[best].cross, fit.rows) < material:
+        if trials[best].gain_over(current) < material:
             break
         named, current = (*named, best), trials[best]
     for group in named:  # an early one may have stood in for later ones
@@ -130,7 +130,7 @@ def find_wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[
             break
         without = drop_group(named, group)
         trial = try_fit(subject, effects, refitted=without, warm=current, again=True)
-        if trial is not None and gain_force(trial.cross, current.cross, fit.rows) < material:
+        if trial is not None and current.gain_over(trial) < material:
             named, current = without, trial
     log_decision(
         "reduction",

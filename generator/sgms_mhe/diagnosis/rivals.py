@@ -167,7 +167,7 @@ def _place(
     """The place of a cause and who might take it; None where it explains nothing, or no model is finite without it."""
     effects, base = drop_effect(fit.effects, group), drop_group(refitted, group)
     without = try_fit(subject, effects, refitted=base, warm=fit)
-    if without is None or (gain := gain_force(without.cross, fit.cross, fit.rows)) <= 0.0:
+    if without is None or (gain := fit.gain_over(without)) <= 0.0:
         return None
     found = (*_effects(subject, without, group.cause, seen, criteria), *_machine_numbers(subject, without, refitted))
     ranked = tuple(sorted(found, key=lambda r: -r.gain))
@@ -259,7 +259,7 @@ def _judge(subject: Subject, place: _RivalPlace, name: str, trial: Fit, criteria
         outcome=judgement,
     )
     if judgement != "worse" and name in EFFECT_NAMES:
-        gain = gain_force(place.without.cross, trial.cross, trial.rows)
+        gain = trial.gain_over(place.without)
         if explains_noise(subject, trial, gain):
             log_decision("rivals", "a candidate that explains noise alone is none", candidate=name, gain_N=gain)
             return "worse", max(0.0, excess)
@@ -275,7 +275,7 @@ def _compare(
     steady = find_steady_blocks(subject.recording) if has_same_clock else None
     if steady is not None and _is_clearly_better(place.fit, trial, criteria):
         # The start and the stop do not tell the two apart, but a model has to run through them.
-        return "better", gain_force(trial.cross, place.fit.cross, place.fit.rows)
+        return "better", place.fit.gain_over(trial)
     told = np.ones(subject.recording.blocks, dtype=np.bool_) if steady is None else steady
     excess = gain_force(trial.cross[told], place.fit.cross[told], place.fit.rows[told])
     t = difference_statistic(place.fit.cross[told], trial.cross[told])
@@ -304,7 +304,7 @@ def _compare(
 def _is_clearly_better(fit: Fit, trial: Fit, criteria: Criteria) -> bool:
     """Return True if a fit is better than another one on all blocks."""
     t = difference_statistic(fit.cross, trial.cross)
-    return _is_clear(t, gain_force(trial.cross, fit.cross, fit.rows), criteria)
+    return _is_clear(t, fit.gain_over(trial), criteria)
 
 
 def _is_clear(t: float, excess: float, criteria: Criteria) -> bool:

@@ -34,7 +34,7 @@ from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.rivals import Contest, Selection, cause_significance, find_rivals
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import cause, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, gain_force, noise_floor
+from sgms_mhe.recordings.evidence import difference_statistic, noise_floor
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 
@@ -82,7 +82,7 @@ def search_step(
             outcome = "too small"
         else:
             outcome = "not significant"
-        refit = gain_force(current.cross, fits[p.name].cross, current.rows) if p.name in fits else math.nan
+        refit = fits[p.name].gain_over(current) if p.name in fits else math.nan
         p_value = min(1.0, p.p_value * len(names))
         scores.append(Score(p.name, number, p_value, max(0.0, ranked.gain), refit, dict(p.parameters), outcome))
     log_decision(
@@ -117,7 +117,7 @@ def _refits(
     cheap = [r for r in shortlist if not effect_definition(r.proposal.name).drives_elements]
     fits: dict[str, Fit] = {}
     for stage in (cheap, [r for r in shortlist if r not in cheap]):
-        best = max((gain_force(current.cross, fit.cross, fit.rows) for fit in fits.values()), default=0.0)
+        best = max((fit.gain_over(current) for fit in fits.values()), default=0.0)
         proposals = [r.proposal for r in stage if r.gain > PROMISING * best]
         if proposals:
             criteria.progress.report_refits(number, [p.name for p in proposals])
@@ -173,7 +173,7 @@ def _shortlist(strong: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
 
 def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: Criteria) -> str | None:
     """The candidate to add: the best by cross-validation; among equals the one that leaves other numbers alone."""
-    gains = {name: gain_force(current.cross, fit.cross, fit.rows) for name, fit in fits.items()}
+    gains = {name: fit.gain_over(current) for name, fit in fits.items()}
     gains = {
         name: gain
         for name, gain in gains.items()
@@ -315,7 +315,7 @@ def drop_effects(searched: Searched) -> Searched:
 
 def _gain(before: Fit, after: Fit) -> float:
     """RMS of the force that a fit explains and the one before it did not, on unseen folds [N]."""
-    return gain_force(before.cross, after.cross, before.rows)
+    return after.gain_over(before)
 
 
 def select_causes(searched: Searched) -> Selection:

@@ -28,6 +28,7 @@ from sgms_mhe.machine.axis import FASTEST_STRIBECK
 from sgms_mhe.model.effects.base import LARGEST_RISE
 from sgms_mhe.recordings.evidence import (
     UNSEEN_ERROR,
+    FitLoss,
     add_missing,
     cross_loss,
     misread_forces,
@@ -92,7 +93,7 @@ class Shape:
 
 
 @dataclass(frozen=True, eq=False)
-class AxisFit:
+class AxisFit(FitLoss):
     """An axis fitted to records.
 
     Attributes:
@@ -100,22 +101,16 @@ class AxisFit:
         levels: of the elements (k) [N].
         terms: what else is linear.
         coefficients: of all columns of the terms (c).
-        residual: measured minus model (m) [N].
         jacobian: derivatives (m, p) in log D (k), levels (k), beta and log v_s where there is a rise, coefficients (c).
         prior: information of priors (p), in units of the sum of squares.
-        loss, cross, rows: per block: sum of squares, the same predicted without its fold, rows.
     """
 
     shape: Shape
     levels: Array
     terms: tuple[Term, ...]
     coefficients: Array
-    residual: Array
     jacobian: Array
     prior: Array
-    loss: Array
-    cross: Array
-    rows: Array
 
     @property
     def coulomb(self) -> float:
@@ -137,16 +132,6 @@ class AxisFit:
         level = coulomb * (1.0 + rise.ratio * np.exp(-((velocity / rise.velocity) ** 2)))
         force = self.elements @ self.levels
         return np.clip(force / level, -1.0, 1.0) if coulomb > 0.0 else np.sign(velocity)
-
-    @property
-    def rms(self) -> float:
-        """RMS of the residual on used rows [N]."""
-        return math.sqrt(float(self.loss.sum() / self.rows.sum()))
-
-    @property
-    def cross_rms(self) -> float:
-        """RMS by cross-validation [N]."""
-        return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
 
     def place(self, name: str) -> slice:
         """Return the place of a term's columns in the Jacobian; empty where it is not there."""

@@ -218,6 +218,46 @@ def block_moments(recording: Recording, X: Array, residual: Array) -> tuple[Arra
     return H, g, s
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecordLoss:
+    """What a model leaves of a record.
+
+    Attributes:
+        residual: measured minus model (m) [N].
+        loss: sum of its squares per block (blocks).
+        rows: used rows per block (blocks).
+    """
+
+    residual: Array
+    loss: Array
+    rows: Array
+
+    @property
+    def rms(self) -> float:
+        """RMS of the residual on used rows [N]."""
+        return math.sqrt(float(self.loss.sum() / self.rows.sum()))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitLoss(RecordLoss):
+    """What a fit leaves of a record, and of each block unseen.
+
+    Attributes:
+        cross: sum of squares per block, each predicted by a fit without its fold (blocks).
+    """
+
+    cross: Array
+
+    @property
+    def cross_rms(self) -> float:
+        """RMS by cross-validation [N]."""
+        return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
+
+    def gain_over(self, other: FitLoss) -> float:
+        """RMS of the force that this fit explains beyond another on unseen blocks [N]; negative for less."""
+        return gain_force(other.cross, self.cross, self.rows)
+
+
 def gain_force(before: Array, after: Array, rows: Array) -> float:
     """RMS of the force that a fit explains beyond another [N], from losses per block; negative for less."""
     difference = float((before - after).sum()) / max(1.0, float(rows.sum()))
