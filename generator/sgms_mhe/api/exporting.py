@@ -100,7 +100,11 @@ def export(
         BuildError: an FMU, or a log, where the C compiler refused.
     """
     axis, form = load(machine), find_form(to)
-    if axis.drive.kind != "force" and to != "bam" and to not in TABLES:
+    tabled = points is not None or speed_range is not None
+    if tabled and to not in TABLES:
+        raise InputError("export", "points", to, f"friction over speed: one of {', '.join(TABLES)}")
+    is_table = tabled or (to in TABLES and to != "csv")
+    if axis.drive.kind != "force" and to != "bam" and not is_table:
         raise InputError(axis.source, "drive.kind", axis.drive.kind, "force: no other simulator's form holds a drive")
     path = None if out is None else Path(out)
     is_file = path is not None and (path.is_file() or not path.exists())  # no pipe, no /dev/stdout
@@ -108,9 +112,6 @@ def export(
         raise InputError(path, "output file", path.name, f"a name that ends in {' or '.join(form.suffixes)}")
     names_model = is_file and to in TEXT_FORMS and to not in TABLES
     title = check_title(path.stem) if path is not None and names_model else f"{axis.name}_axis"
-    tabled = points is not None or speed_range is not None
-    if tabled and to not in TABLES:
-        raise InputError("export", "points", to, f"friction over speed: one of {', '.join(TABLES)}")
     written = write_table(axis, title, to, points, speed_range) if tabled else form.write(axis, title)
     error = None if log is None else form_error(axis, written, recorded_log(log, axis, note=note))
     if path is not None:

@@ -241,15 +241,11 @@ class _FreeRuns:
         fits = {"loss": "soft_l1", "f_scale": outlying, "ftol": 1e-5, "max_nfev": most, "x_scale": "jac"}
         return least_squares(residual, x, jacobian, bounds=self.bounds, **fits)
 
-    def by_run(self, values: Array) -> list[Array]:
-        """Split values (n) of all samples by runs."""
-        edges = np.cumsum([sum(b - a for a, b in record.stretches) for record in self.records])[:-1]
-        return np.split(values, edges)
-
     def by_part(self, values: Array) -> list[Array]:
         """Split values (n) of all samples by runs, few of them by parts of each: what repeats itself, or not."""
         count = -(-PARTS // len(self.records))
-        return [part for run in self.by_run(values) for part in np.array_split(run, count)]
+        edges = np.cumsum([sum(b - a for a, b in record.stretches) for record in self.records])[:-1]
+        return [part for run in np.split(values, edges) for part in np.array_split(run, count)]
 
     def spread(self, found: Any) -> Array:
         """Return the deviation of every number by the spread of its gradient between parts; a delay has steps."""
@@ -311,7 +307,9 @@ def _write(problem: _FreeRuns, found: Any, name: str, play: Statement) -> Identi
     if LOAD in value:
         gear = {"ratio": value[LOAD], "inertia_ratio": value[SHARE], "friction_ratio": value[SHARE]}
         content["effects"] = [{**e, **(gear if e["name"] == GEAR_FRICTION else {})} for e in content["effects"]]
-    errors = [float(np.mean(np.abs(run))) * problem.extent for run in problem.by_run(found.fun)]
+    at = problem.start({**value, RADIUS: value.get(RADIUS, 0.0) ** 2})
+    problem.begin(at)
+    errors = [float(np.mean(np.abs(run))) for run in problem.errors(at)]
     said = {"count": len(errors), "most": max(errors)}
     error = Statement(Rule.RAN, "free runs", float(np.mean(errors)), None, units.position, said)
     head = [
