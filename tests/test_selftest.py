@@ -218,6 +218,16 @@ def test_returns_0_for_an_axis_of_known_colour(require_tool: Tool, tmp_path: Pat
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
+def test_returns_0_where_doubt_ramps_the_force(precision: str, require_tool: Tool, tmp_path: Path) -> None:
+    changes = {"estimator": {"kind": "ekf"}, "compensation": {"on_doubt": "ramp"}, "code": {"precision": precision}}
+    folder = written(package_of(selftest=True, **changes), tmp_path)
+    assert answer(require_tool("gcc"), folder, tmp_path, *STRICT, "-O1") == 0
+    header = folder / "etel_xy_compensation.h"
+    header.write_text(header.read_text().replace("_OVERRUN + ETEL_XY_DOUBT", "_OVERRUN"))
+    assert answer(require_tool("gcc"), folder, tmp_path, "-O1") > 0
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize(("zeta", "lambda_"), [(0.9, 150.0), (0.985, 233.0), (0.999, 300.0)])
 def test_returns_0_for_any_smoothing(
     zeta: float, lambda_: float, precision: str, require_tool: Tool, tmp_path: Path

@@ -857,7 +857,7 @@ static int notices_gap(etel_xy_controller_t *axis, motion *m, etel_xy_controller
     good = good && (fades ? is_fading(axis, share, fed) : etel_xy_controller_share(axis) >= share);
     good = go_along(axis, BY_TICK, m, SELFTEST_SPAN * SAMPLES, &fed) && good;
     return good && (status_of(axis) & ETEL_XY_CONTROLLER_MISSING) == 0 &&
-        etel_xy_controller_share(axis) > 0.0;
+        etel_xy_controller_share(axis) > 0.0f;
 }
 
 static int notices_gaps(etel_xy_controller_t *axis, motion *m)
