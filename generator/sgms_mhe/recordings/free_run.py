@@ -154,7 +154,7 @@ class MotionRecord:
         extent: range of the positions [m].
 
     Raises:
-        InputError: no force was logged; no stretch is long enough to compare anything.
+        InputError: no force was logged; no stretch is long enough to compare anything; nothing moves.
     """
 
     def __init__(self, machine: Machine, log: Log, start_s: float = 0.0, end_s: float = math.inf) -> None:
@@ -179,6 +179,8 @@ class MotionRecord:
         self._followed = np.ascontiguousarray(sosfiltfilt(self._sos, filled))
         self._driving = np.ascontiguousarray(np.interp(k, k[good], log.force_N[good])) if command is None else command
         self.extent = float(np.ptp(log.position_m[good]))
+        if self.extent == 0.0:
+            raise InputError(log.source or "log", log.units.named("position_m"), "the same throughout", "a motion")
         step = machine.sampling.position_step or encoder_step(log.position_m)
         self.noise = max(position_noise(log.position_m), step / math.sqrt(12.0), SMALLEST * self.extent)
 
