@@ -191,7 +191,8 @@ def unstated_friction(rows: Recording, fit: AxisFit) -> Array:
     sizes = {term.name: fit.coefficient(term.name) for term in several}
     places = {term.name: (mean_place(term, sizes[term.name]),) for term in several}
     more = np.zeros(len(rows.time))
-    for term, mean in zip(several, fit_level_terms(rows, fit, places=places), strict=True):
+    sliding = fit.sliding(rows.velocity) if fit.coulomb > 0.0 else np.sign(rows.velocity)  # its columns' had a level
+    for term, mean in zip(several, fit_level_terms(rows, fit, sliding, places), strict=True):
         own = level_sizes(term, sizes[term.name])
         more += term.columns @ sizes[term.name] - mean.columns[:, : len(own)] @ own
     return more

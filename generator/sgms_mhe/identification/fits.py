@@ -124,14 +124,11 @@ class AxisFit(FitLoss):
         return np.asarray(self.jacobian[:, count : 2 * count])
 
     def sliding(self, velocity: Array) -> Array:
-        """Force of the elements over the level that they slip at, at these velocities (m) [m/s]: -1 to 1 (m).
-
-        Where there is no level, friction acts against the velocity.
-        """
+        """Force of the elements over the level that they slip at, at these velocities (m) [m/s]: -1 to 1 (m)."""
         rise, coulomb = self.shape.rise or NO_RISE, self.coulomb
         level = coulomb * (1.0 + rise.ratio * np.exp(-((velocity / rise.velocity) ** 2)))
         force = self.elements @ self.levels
-        return np.clip(force / level, -1.0, 1.0) if coulomb > 0.0 else np.sign(velocity)
+        return np.clip(force / level, -1.0, 1.0) if coulomb > 0.0 else np.zeros_like(force)
 
     def place(self, name: str) -> slice:
         """Return the place of a term's columns in the Jacobian; empty where it is not there."""
