@@ -382,7 +382,7 @@ def motion_covariance(recording: Recording, X: Array, residual: Array, H: Array)
         cell = cell * parts + np.searchsorted(edges, series)
     order = np.argsort(cell, kind="stable")
     cells = replace(recording, used=used[order], block=cell[order], fold=np.arange(math.prod(CELLS)))
-    return jackknife_covariance(cells, X[order], residual[order], H)
+    return jackknife_covariance(cells, X[order], residual[order], H, leverage=0.5)  # one part alone may have low speeds
 
 
 def invert_information(H: Array) -> Array:
@@ -431,17 +431,18 @@ def stationary_covariance(recording: Recording, X: Array, residual: Array, inver
     return np.asarray(inverse @ (weighted.conj().T @ weighted).real @ inverse)
 
 
-def jackknife_covariance(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
+def jackknife_covariance(recording: Recording, X: Array, residual: Array, H: Array, *, leverage: float = 1.0) -> Array:
     """Covariance from what the numbers move by when one block is left out (jackknife), of X (m, p): (p, p).
 
     A sandwich over blocks takes their residuals as they are; but in a block that alone tells of a number the fit has
-    already made them small. H (p, p): information of all.
+    already made them small. H (p, p): information of all. `leverage`: power of the share that the others hold; 1 leaves
+    a block out, 0.5 is what white noise makes, of blocks that alone tell of a number too (HC2).
     """
     information, scores, _ = block_moments(recording, X, residual)
     root = _find_root_of_inverse(H)
     moves = []
     for own, score in zip(information, scores, strict=True):
         share, direction = np.linalg.eigh(root.T @ own @ root)
-        moves.append(root @ direction @ (direction.T @ root.T @ score / (1.0 - np.minimum(share, ALONE))))
+        moves.append(root @ direction @ (direction.T @ root.T @ score / (1.0 - np.minimum(share, ALONE)) ** leverage))
     moved = np.stack(moves)
     return np.asarray(moved.T @ moved * (len(moved) - 1) / len(moved))
