@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from record_cases import simulate_log
@@ -24,29 +23,12 @@ from sgms_mhe.recordings.evidence import (
     ALONE,
     cross_loss,
     jackknife_covariance,
-    motion_covariance,
     robust_covariance,
     stationary_covariance,
 )
 from sgms_mhe.recordings.recording import prepare
 
 BLOCKS, ROWS, FOLDS = 12, 40, 4
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Of a recording what sums over parts of its motion need."""
-
-    used: NDArray[np.bool_]
-    block: NDArray[np.int64]
-    fold: NDArray[np.int64]
-    position: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    acceleration: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def blocks(self) -> int:
-        return len(self.fold)
 
 
 def rows_in_blocks() -> SimpleNamespace:
@@ -128,26 +110,6 @@ def test_a_sum_is_known_of_which_no_part_is() -> None:
     alone = robust_covariance(recording, X[:, :1], residual, H[:1, :1], 1.0 / H[:1, :1], wrong=0.1)  # type: ignore[arg-type]
     assert cov[0, 0] > 1e6 * alone[0, 0]
     assert 0.9 * alone[0, 0] < cov.sum() < 2.0 * alone[0, 0]
-
-
-def test_what_a_model_gets_wrong_comes_again_with_the_motion() -> None:
-    """Blocks of time that hold all of a motion agree on a number that another half of it would make another one."""
-    recording, random = rows_in_blocks(), np.random.default_rng(8)
-    phase = 2.0 * np.pi * np.arange(BLOCKS * ROWS) / ROWS
-    motion = {"position": np.sin(phase), "velocity": np.cos(phase), "acceleration": -np.sin(phase)}
-    rows = replace(Motion(recording.used, recording.block, recording.fold), **motion)
-    X = np.column_stack((rows.position, np.ones(len(phase))))
-    H, wrong = X.T @ X, rows.position - rows.position**3  # a spring that stiffens
-    for error, least, most in ((0.0, 0.5, 1.6), (1.0, 4.0, 100.0)):
-        found, stated, blocks = [], [], []
-        for _ in range(100):
-            y = error * wrong + 0.1 * random.normal(size=len(phase))
-            b = np.linalg.solve(H, X.T @ y)
-            found.append(b[0])
-            stated.append(motion_covariance(rows, X, y - X @ b, H)[0, 0])  # type: ignore[arg-type]
-            blocks.append(jackknife_covariance(rows, X, y - X @ b, H)[0, 0])  # type: ignore[arg-type]
-        assert 0.8 < np.sqrt(np.mean(blocks)) / np.std(found) < 1.3
-        assert least < np.sqrt(np.mean(stated)) / np.std(found) < most
 
 
 @pytest.mark.parametrize(("colour", "least"), [(0.0, 0.9), (0.9, 0.8)])

@@ -187,7 +187,7 @@ def state_numbers(
         law_decided: whether the records tell the law of the elements.
         is_plain: whether nothing was chosen in the fit: then it is left as it is, but for a mass that was given.
     """
-    cov = covariance(view, fit, across_motion=True)
+    cov = covariance(view, fit)
     if is_apart(fit, cov, view) is None:
         log_decision(
             "numbers",
@@ -196,7 +196,7 @@ def state_numbers(
             residual_N=fit.rms,
         )
         fit = _fit_without(view, fit, SAMPLING)
-        cov = covariance(view, fit, across_motion=True)
+        cov = covariance(view, fit)
     wide = quantities(fit, cov)
     mass = _mass(view.rows, wide["mass"])
     dropped = _find_unseen(fit, cov, wide, view.rows.machine.plant.moved if wanted.mass else None)
@@ -213,7 +213,7 @@ def state_numbers(
     if dropped:
         free, cov_free = fit, cov
         fit = _fit_without(view, fit, dropped, 0 if is_plain else FINAL_ITERATIONS)
-        cov = covariance(view, fit, across_motion=True)
+        cov = covariance(view, fit)
         if mass is None and wanted.mass and view.rows.inertia > 0.0:
             cov, beside = _widen_beside_mass(free, cov_free, fit, cov)
     if not law_decided:

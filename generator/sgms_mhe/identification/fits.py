@@ -29,10 +29,8 @@ from sgms_mhe.model.effects.base import LARGEST_RISE
 from sgms_mhe.recordings.evidence import (
     UNSEEN_ERROR,
     FitLoss,
-    add_missing,
     cross_loss,
     misread_forces,
-    motion_covariance,
     noise_floor,
     robust_covariance,
 )
@@ -351,7 +349,7 @@ def stribeck_limits(view: RecordView) -> tuple[float, float]:
     return slow * view.rows.extents.speed, min(fast * view.rows.extents.speed, FASTEST_STRIBECK)
 
 
-def covariance(view: RecordView, fit: AxisFit, *, across_motion: bool = False) -> Array:
+def covariance(view: RecordView, fit: AxisFit) -> Array:
     """Covariance (p, p) of log D (k), levels (k), beta and log v_s where there is a rise, and the coefficients.
 
     Noise and what the model gets wrong (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR of that,
@@ -359,12 +357,6 @@ def covariance(view: RecordView, fit: AxisFit, *, across_motion: bool = False) -
     between them comes out too smooth at every reversal alike, which no average over blocks sees; other lines, and every
     second sample, do as much once more. And what an error of timing makes of them that is larger than sampling has any:
     it stands for something else. 0 where a level or a coefficient is held at 0.
-
-    Args:
-        view: the records.
-        fit: of them.
-        across_motion: at least what another part of the motion makes of the numbers, as a file states them. No choice
-            of terms hangs on it: without some speeds nobody knows a curve over speed.
     """
     rows = view.rows
     interior = np.any(fit.jacobian != 0.0, axis=0)
@@ -379,8 +371,6 @@ def covariance(view: RecordView, fit: AxisFit, *, across_motion: bool = False) -
     wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
     result = np.zeros((len(interior), len(interior)))
     inner = robust_covariance(rows, X, fit.residual, H, inverse, wrong)
-    if across_motion:
-        inner = add_missing(inner, motion_covariance(rows, X, fit.residual, H))
     held = fit.place(HELD)
     if held.stop and interior[held].all():
         own = int(np.count_nonzero(interior[: held.start]))

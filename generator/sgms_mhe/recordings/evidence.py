@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
@@ -47,8 +47,6 @@ COHERENT_ROWS: Final = 16
 """Stretch that a model's own error keeps its sign over, for intervals [rows]: a reversal."""
 SMOOTH_SHARE: Final = 0.15  # of a frequency, to either side: its power is the mean of these
 SMOOTH_LEAST: Final = 4  # half frequencies, of a record's length: the slowest few are one
-CELLS: Final = (6, 8)
-"""Parts of places and of speeds, as many rows in each [1]: by noisy accelerations errors would be sorted."""
 UNSEEN_ERROR: Final = 0.15
 """RMS that a model may get wrong beyond what is seen, for intervals [noise floor]: a floor that is right to 1 % hides
 as much."""
@@ -370,21 +368,6 @@ def add_missing(covariance: Array, least: Array) -> Array:
     return np.asarray(covariance + least * np.outer(missing, missing))
 
 
-def motion_covariance(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
-    """Covariance (p, p) from what numbers move by without the rows of one place and speed (jackknife).
-
-    What a model gets wrong belongs to the motion and comes again with it: blocks of time hold all of it alike, and no
-    length of a record averages it out. Arguments are those of `jackknife_covariance`.
-    """
-    cell, used = np.zeros(len(residual), dtype=np.int64), recording.used
-    for series, parts in zip((recording.position, recording.velocity), CELLS, strict=True):
-        edges = np.quantile(series[used], np.arange(1, parts) / parts)
-        cell = cell * parts + np.searchsorted(edges, series)
-    order = np.argsort(cell, kind="stable")
-    cells = replace(recording, used=used[order], block=cell[order], fold=np.arange(math.prod(CELLS)))
-    return jackknife_covariance(cells, X[order], residual[order], H, leverage=0.5)  # one part alone may have low speeds
-
-
 def invert_information(H: Array) -> Array:
     """Return the inverse (p, p) of an information (p, p), 0 in directions of which nothing is known.
 
@@ -431,18 +414,17 @@ def stationary_covariance(recording: Recording, X: Array, residual: Array, inver
     return np.asarray(inverse @ (weighted.conj().T @ weighted).real @ inverse)
 
 
-def jackknife_covariance(recording: Recording, X: Array, residual: Array, H: Array, *, leverage: float = 1.0) -> Array:
+def jackknife_covariance(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
     """Covariance from what the numbers move by when one block is left out (jackknife), of X (m, p): (p, p).
 
     A sandwich over blocks takes their residuals as they are; but in a block that alone tells of a number the fit has
-    already made them small. H (p, p): information of all. `leverage`: power of the share that the others hold; 1 leaves
-    a block out, 0.5 is what white noise makes, of blocks that alone tell of a number too (HC2).
+    already made them small. H (p, p): information of all.
     """
     information, scores, _ = block_moments(recording, X, residual)
     root = _find_root_of_inverse(H)
     moves = []
     for own, score in zip(information, scores, strict=True):
         share, direction = np.linalg.eigh(root.T @ own @ root)
-        moves.append(root @ direction @ (direction.T @ root.T @ score / (1.0 - np.minimum(share, ALONE)) ** leverage))
+        moves.append(root @ direction @ (direction.T @ root.T @ score / (1.0 - np.minimum(share, ALONE))))
     moved = np.stack(moves)
     return np.asarray(moved.T @ moved * (len(moved) - 1) / len(moved))
