@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,9 +21,7 @@ from sgms_mhe.identification.terms import (
     is_friction,
     is_level,
     is_within_limits,
-    level_sizes,
     level_terms,
-    mean_place,
     place_curve,
     transmitted_force,
 )
@@ -162,15 +160,10 @@ def _has_limit(name: str, excited: Collection[str]) -> bool:
     return any(limit in excited for limit in effect_definition(name).simpler.causes)
 
 
-def fit_level_terms(
-    rows: Recording,
-    fit: AxisFit,
-    sliding: Array | None = None,
-    places: Mapping[str, tuple[Mapping[str, float], ...]] | None = None,
-) -> tuple[Term, ...]:
-    """Return the effects of the level along a fit, at no given place and at all of them.
+def fit_level_terms(rows: Recording, fit: AxisFit, sliding: Array | None = None) -> tuple[Term, ...]:
+    """Return the effects of the level of a fit, with all trials of what they are not linear in.
 
-    `sliding`, `places`: as of `level_terms`; None: the fit's, and all.
+    `sliding`: as of `level_terms`; None: the fit's.
     """
     moved = rows.machine.plant.moved + float(fit.coefficient("mass").sum())
     beside = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if is_friction(t))
@@ -181,21 +174,7 @@ def fit_level_terms(
         fit.sliding(rows.velocity) if sliding is None else sliding,
         fit.shape.rise,
         KnownFriction(elements + beside, elements, moved),
-        places,
     )
-
-
-def unstated_friction(rows: Recording, fit: AxisFit) -> Array:
-    """Return the friction (m) [N] that effects at several places have beyond that of a file: at their mean."""
-    several = [term for term in fit.terms if len(term.places) > 1]
-    sizes = {term.name: fit.coefficient(term.name) for term in several}
-    places = {term.name: (mean_place(term, sizes[term.name]),) for term in several}
-    more = np.zeros(len(rows.time))
-    sliding = fit.sliding(rows.velocity) if fit.coulomb > 0.0 else np.sign(rows.velocity)  # its columns' had a level
-    for term, mean in zip(several, fit_level_terms(rows, fit, sliding, places), strict=True):
-        own = level_sizes(term, sizes[term.name])
-        more += term.columns @ sizes[term.name] - mean.columns[:, : len(own)] @ own
-    return more
 
 
 def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
@@ -221,9 +200,9 @@ def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
 
 def renew_columns(terms: Sequence[Term], renewed: Sequence[Term]) -> tuple[Term, ...]:
     """Return terms, those of the level and of its records with the columns that they have among the renewed ones."""
-    found = {(term.name, len(term.places)): term.columns for term in renewed}
+    found = {(term.name, *term.given.values()): term.columns for term in renewed}
     return tuple(
-        replace(term, columns=found[term.name, len(term.places)][:, : term.columns.shape[1]])
+        replace(term, columns=found[term.name, *term.given.values()][:, : term.columns.shape[1]])
         if is_level(term) or term.name == LEVEL_OF_RECORD
         else term
         for term in terms

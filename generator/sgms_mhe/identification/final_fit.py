@@ -343,7 +343,7 @@ def _search_rise(views: Views, fit: AxisFit) -> AxisFit:
 
 def _drop_load_rise(terms: Sequence[Term]) -> tuple[Term, ...]:
     """The terms, those of the level without what they grow by towards low speed."""
-    return tuple(replace(t, columns=t.columns[:, : len(t.places)]) if is_level(t) else t for t in terms)
+    return tuple(replace(t, columns=t.columns[:, :1]) if is_level(t) else t for t in terms)
 
 
 def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
@@ -410,9 +410,9 @@ def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
         trials = [term for term in fit_level_terms(views.fine.rows, fit) if term.name in names]
         bare = replace(fit, terms=beside)
         terms = (*beside, *best_trials(lined, bare, trials))
-        before, given = fit.cross_rms, [term.places for term in fit.terms if is_level(term)]
+        before, given = fit.cross_rms, [term.given for term in fit.terms if is_level(term)]
         fit = fit_axis(lined, terms, fit.shape, iterations=CHOICE_ITERATIONS)
-        same = given == [term.places for term in terms if is_level(term)]
+        same = given == [term.given for term in terms if is_level(term)]
         if same and abs(fit.cross_rms - before) <= SETTLED * before:
             break
     return fit
@@ -477,12 +477,12 @@ def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, NumberEstimate], g
     viscous, mass = numbers["viscous"], numbers["mass"]
     dropped = set() if viscous.value > SHOWN * viscous.std else {"viscous"}
     for term in fit.terms:
-        sizes, place, count = fit.coefficient(term.name), fit.place(term.name), len(term.places)
-        total = np.kron(np.eye(len(sizes) // count), np.ones(count))  # of several places the sum is known first
-        unsure = np.all(np.abs(total @ sizes) <= SHOWN * np.sqrt(np.diag(total @ cov[place, place] @ total.T)))
+        sizes, place = fit.coefficient(term.name), fit.place(term.name)
+        unsure = np.all(np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place])))
         if term.name not in LAW_AND_SAMPLING and (unsure or not is_within_limits(term, sizes)):
             dropped.add(term.name)
-    if given_mass is not None and not contradicts_mass(given_mass, replace(mass, value=given_mass + mass.value)):
+    total = None if given_mass is None else replace(mass, value=given_mass + mass.value)
+    if given_mass is not None and total is not None and not contradicts_mass(given_mass, total):
         dropped.add("mass")
     return dropped
 

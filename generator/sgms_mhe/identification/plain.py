@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.identification.companions import unstated_friction
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis
 from sgms_mhe.identification.search import is_better
 from sgms_mhe.identification.terms import SAMPLING, Term, companion_terms
@@ -59,14 +58,14 @@ def _are_independent(view: RecordView, terms: Sequence[Term]) -> bool:
 
 
 def measure_unseen(view: RecordView, fit: AxisFit) -> tuple[float, float]:
-    """Return the RMS [N] that a fit of two thirds of the blocks leaves on the others; and a machine file with it.
+    """Return the RMS [N] that a fit of two thirds of the blocks leaves on the others; and without errors of timing.
 
-    That states no errors of timing, and of friction at several places that at their mean.
+    The second is that of a machine file, which states none.
     """
     rows = view.rows
     held_out = rows.rows_held_out()
     judge = fit_axis(view, fit.terms, fit.shape, rows.used & ~held_out, iterations=2)
     timing = [judge.jacobian[:, judge.place(name)] @ judge.coefficient(name) for name in SAMPLING]
-    stated = judge.residual + np.sum(timing, axis=0) + unstated_friction(rows, judge)
+    stated = judge.residual + np.sum(timing, axis=0)
     left, without = (math.sqrt(float(np.mean(series[held_out] ** 2))) for series in (judge.residual, stated))
     return left, without

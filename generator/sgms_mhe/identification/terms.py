@@ -52,8 +52,6 @@ class Term:
         positive: whether the coefficients are at least 0; otherwise free in sign.
         deviation: of a prior about 0, in the coefficients' units; inf: none.
         given: numbers of an effect that its columns are not linear in.
-        places: of an effect of the level the same, of each place that it acts at: as many columns, and as many more
-            where it grows towards low speed.
         noise: variance of noise in the columns [their unit squared]; the measured friction holds -`known` times it.
         known: size that the measured friction has taken off already [coefficients' unit].
     """
@@ -63,7 +61,6 @@ class Term:
     positive: bool = False
     deviation: float = math.inf
     given: Mapping[str, float] = field(default_factory=dict)
-    places: tuple[Mapping[str, float], ...] = ({},)
     noise: float = 0.0
     known: float = 0.0
 
@@ -169,7 +166,6 @@ def level_terms(
     sliding: Array,
     rise: Stribeck | None,
     known: KnownFriction | None = None,
-    places: Mapping[str, tuple[Mapping[str, float], ...]] | None = None,
 ) -> tuple[Term, ...]:
     """Effects that are looked for in the level of friction: what it grows with is known once load and mass are.
 
@@ -180,30 +176,26 @@ def level_terms(
         transmitted: torque that the drive transmits (m) [N m].
         sliding: force of the elements over the level that they slip at now, -1 to 1 (m).
         rise: of the level towards low speed, in which they share; None: none.
-        known: of a fit, for effects that are linear, and for all places that others may act at, beside none given;
-            None: none given alone.
-        places: where effects act, by their names; others are left out. None: as `known` has it.
+        known: of a fit, for effects that are linear, and for trials of what an effect's columns are not linear in;
+            None: of the others the first trial alone.
     """
     motion, terms = _motion(rows, transmitted, sliding), []
     if known is not None:
-        apart = replace(motion, velocity=rows.velocity, level=known.elements)
+        own = replace(motion, velocity=rows.velocity, level=known.elements)
         force = transmitted + known.friction
         motion = replace(motion, force=force, level=known.friction, mass=known.inertia)
     for definition, search in _companions(rows):
-        if definition.stage != "level" or (places is not None and definition.name not in places):
+        if definition.stage != "level":
             continue
         if definition.linear:
-            terms += [Term(definition.name, search.columns(apart, {}))] if known is not None else []
+            terms += [Term(definition.name, search.columns(own, {}))] if known is not None else []
             continue
-        several = tuple(search.places(motion))
-        tried = [({},), several] if known is not None and len(several) > 1 else [({},)]
-        for own in tried if places is None else [places[definition.name]]:
-            columns = np.column_stack([search.columns(motion, place) for place in own])
-            columns *= np.abs(sliding)[:, None]
+        for given in search.variants(motion) if known is not None else ({},):
+            columns = np.abs(sliding)[:, None] * search.columns(motion, given)
             if rise is not None and search.rise:
                 share = np.exp(-((rows.velocity / rise.velocity) ** 2))
-                columns = np.column_stack((columns, share[:, None] * columns))
-            terms.append(Term(definition.name, columns, positive=True, places=own))
+                columns = np.column_stack((columns, share * columns[:, 0]))
+            terms.append(Term(definition.name, columns, positive=True, given=given))
     return tuple(terms)
 
 
@@ -227,27 +219,10 @@ def effect_parameters(term: Term, sizes: Array) -> dict[str, float]:
     search = definition.search
     if not isinstance(search, Columns):
         return {}
-    if definition.stage != "level":
+    if definition.stage != "level" or not search.rise:
         return dict(search.parameters(term.given, sizes))
-    ratio, *rise = level_sizes(term, sizes)
-    found = search.parameters(mean_place(term, sizes), np.array([ratio]))
-    return {**found, search.rise: float(rise[0])} if rise else dict(found)
-
-
-def level_sizes(term: Term, sizes: Array) -> Array:
-    """Return the size of an effect of the level at all places, and by what it grows towards low speed if it does."""
-    return np.asarray(sizes.reshape(-1, len(term.places)).sum(axis=1))
-
-
-def mean_place(term: Term, sizes: Array) -> dict[str, float]:
-    """Return the numbers of the one place that does as several do, by the coefficients of their term.
-
-    Of torques that all point the same way the sum of their sizes is the size of their sum.
-    """
-    weights = sizes.reshape(-1, len(term.places)).sum(axis=0)
-    if not weights.any():
-        return dict(term.places[0])
-    return {name: float(np.average([place[name] for place in term.places], weights=weights)) for name in term.places[0]}
+    rise = {search.rise: float(sizes[1])} if len(sizes) > 1 else {}
+    return {**search.parameters(term.given, sizes[:1]), **rise}
 
 
 def is_within_limits(term: Term, sizes: Array) -> bool:

@@ -20,8 +20,8 @@ from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
 SHARES: Final = ("inertia_ratio", "friction_ratio")
 MOST: Final = 0.95
 """Largest ratio: from 1 on a load could not be driven back, and the friction that holds it would have no one value."""
-PLACES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares between which a mesh is looked for, or several of a gear: inertia and friction before it alike."""
+TRIED: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares that are tried: inertia and friction before the mesh alike."""
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
@@ -46,8 +46,8 @@ def _share(name: str, default: float, of: str) -> EffectParameter:
 
 
 def _shares(_: MotionRecord) -> Sequence[Values]:
-    """Where the mesh may be, but behind all friction: before a share of it and of the inertia."""
-    return [dict.fromkeys(SHARES, share) for share in PLACES]
+    """Where the mesh may be: behind all friction, first, or before a share of it and of the inertia."""
+    return ({}, *(dict.fromkeys(SHARES, share) for share in TRIED))
 
 
 DEFINITION = EffectDefinition(
@@ -80,7 +80,7 @@ DEFINITION = EffectDefinition(
     inertial=True,
     simpler=Simpler(("coulomb",)),
     search=Columns(
-        lambda m, p: friction_drag(m, **p), one_size("ratio"), exact="ratio", places=_shares, rise="rise_ratio"
+        lambda m, p: friction_drag(m, **p), one_size("ratio"), exact="ratio", variants=_shares, rise="rise_ratio"
     ),
     stage="level",
     companion=True,

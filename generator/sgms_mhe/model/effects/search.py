@@ -43,8 +43,7 @@ class Columns:
         tests: how many independent trials the grid amounts to.
         own_size: the given number that the size must come out as: a lag is its own size. Of two trials that explain as
             much the one whose size agrees with it counts.
-        places: given numbers between which an identification from nothing looks for the axis's where none given do not
-            do: sizes that act together come out as one at the mean of their places. A diagnosis has none given alone.
+        variants: the numbers that an identification from nothing tries, none given first; a diagnosis tries that alone.
         rise: of a contribution to the level the size, if any, by which it grows towards low speed as the Stribeck
             effect does: its force per unit is that of the column times that effect's share.
         exact: the size whose column is taken from the model's own derivative in the end, where `columns` are rough: a
@@ -57,7 +56,7 @@ class Columns:
     tests: float = 1.0
     own_size: str | None = None
     exact: str | None = None
-    places: Grid = no_grid
+    variants: Grid = no_grid
     rise: str = ""
     costly: ClassVar[bool] = False
 
