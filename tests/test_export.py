@@ -220,19 +220,6 @@ def test_bam_s_model_has_the_friction_of_the_law(tmp_path: Path) -> None:
     assert json.loads(sgms_mhe.export(plain, "bam").text)["model"] == "m1"
 
 
-def test_bam_computes_that_friction() -> None:
-    """BAM itself, where it is installed: budget of friction at speeds, without a load."""
-    bam = pytest.importorskip("bam.model")
-    text = sgms_mhe.export("etel_xy_rotary", "bam").text
-    model = bam.load_model_from_dict({**json.loads(text), "actuator": "xl330"})
-    speed = np.geomspace(1e-4, 1.0, 30)
-    level, damping = model.compute_frictions(0.0, 0.0, speed)
-    np.testing.assert_allclose(
-        level + damping * speed, steady_friction(load_machine("etel_xy_rotary"), speed), rtol=2e-3
-    )
-    assert model.armature.value == load_machine("etel_xy_rotary").plant.moved
-
-
 # --- the command -------------------------------------------------------------------------------------------------
 
 
