@@ -25,7 +25,7 @@ from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.drive import command_of, switched_on
 from sgms_mhe.signals.logs import Log, check_rate
 from sgms_mhe.signals.noise import encoder_step, position_noise
-from sgms_mhe.support.arrays import Array
+from sgms_mhe.support.arrays import Array, Index
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 
@@ -280,14 +280,10 @@ def run_freely(
             the plant does not know.
     """
     record = MotionRecord(machine, log, start_s, end_s)
-    n = len(log)
-    runs, starts = record.run(record.axis(machine), record.stretches)
-    simulated, since, compared = np.full(n, math.nan), np.zeros(n), np.zeros(n, dtype=bool)
-    for (first, end), positions in zip(record.stretches, runs, strict=True):
-        simulated[first:end], since[first:end] = positions, np.arange(end - first) / log.rate
-        compared[first + FIRST : end] = True
+    simulated, since, starts = _run_stretches(machine, record)
+    compared = since >= FIRST
     error = (simulated - record.position)[compared]
-    drift = float(np.polyfit(since[compared], error, 1)[0]) if np.isfinite(error).all() else math.nan
+    drift = float(np.polyfit(since[compared] / log.rate, error, 1)[0]) if np.isfinite(error).all() else math.nan
     horizon = _find_horizon(machine, record, TOLERANCE * record.extent if tolerance_m is None else tolerance_m)
     return FreeRun(
         log.time_s, record.position, simulated, compared, tuple(starts), drift, horizon, log.source, log.kind
@@ -295,14 +291,23 @@ def run_freely(
 
 
 def measure_free_run(machine: Machine, log: Log) -> float:
-    """Return the RMS error of a free run along a log [m]; NaN where the log allows none, or the model runs away."""
+    """Return `FreeRun.rms` alone [m]; NaN where the log allows no free run, or the model runs away."""
     try:
         record = MotionRecord(machine, log)
     except InputError:
         return math.nan
-    runs, _ = record.run(record.axis(machine), record.stretches)
-    parts = zip(runs, record.stretches, strict=True)
-    return float(np.sqrt(np.mean(np.concatenate([run - record.position[a:b] for run, (a, b) in parts]) ** 2)))
+    simulated, since, _ = _run_stretches(machine, record)
+    return float(np.sqrt(np.mean((simulated - record.position)[since >= FIRST] ** 2)))
+
+
+def _run_stretches(machine: Machine, record: MotionRecord) -> tuple[Array, Index, list[ShotStart]]:
+    """Run freely through all stretches: positions (n) [m], samples since each start (n), -1 outside, and the starts."""
+    n = len(record.position)
+    simulated, since = np.full(n, math.nan), np.full(n, -1)
+    runs, starts = record.run(record.axis(machine), record.stretches)
+    for (first, end), positions in zip(record.stretches, runs, strict=True):
+        simulated[first:end], since[first:end] = positions, np.arange(end - first)
+    return simulated, since, starts
 
 
 def spread_shots(record: MotionRecord, length: int, count: int) -> list[tuple[int, int]]:
