@@ -63,6 +63,7 @@ class FeedForward:
     over_delay: float
     at_end: float
     gain_step: float
+    ramped: tuple[str, ...]
     carry: float
     limit: float | None
     ahead: Ahead | None
@@ -81,6 +82,7 @@ def compensation_of(machine: Machine) -> FeedForward:
         over_delay=(lag + 0.5 * h + 0.5 * compensation.delay) / later,
         at_end=(lag + 0.5 * h + compensation.delay) / later,
         gain_step=min(1.0, 1.0 / (rate * compensation.ramp)) if compensation.ramp else 1.0,
+        ramped=("OVERRUN", "DOUBT") if compensation.on_doubt == "ramp" else ("OVERRUN",),
         carry=math.exp(-1.0 / machine.sampling.samples_per_update),
         limit=force_limit(machine),
         ahead=None if machine.friction.switches else _ahead(machine),

@@ -278,7 +278,7 @@ def _force_ahead(
 def _ramp(machine: Machine, statuses: Index, count: int) -> Array:
     """Share that is on after each of so many samples (count), from off on: in the runs DOUBT alone ramps it down."""
     step, samples = compensation_of(machine).gain_step, machine.sampling.samples_per_update
-    falls = (np.append(0, statuses) & UpdateStatus.DOUBT) * (machine.compensation.on_doubt == "ramp")
+    falls = (np.append(0, statuses) & UpdateStatus.DOUBT) * ("DOUBT" in compensation_of(machine).ramped)
     changes = np.where(falls[np.maximum(np.arange(count) - 1, 0) // samples], -step, step)
     shares = accumulate(changes, lambda share, change: min(1.0, max(0.0, share + change)), initial=0.0)
     return np.array(list(shares)[1:])
