@@ -27,8 +27,8 @@ from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import fit_chosen, make_laws
 from sgms_mhe.diagnosis.models import CompiledFit, FitError, make_model
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
+from sgms_mhe.diagnosis.parts import Cause, Rms
 from sgms_mhe.diagnosis.plan import make_plan
-from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.diagnosis.rivals import Contest, Selection, find_rivals
 from sgms_mhe.diagnosis.selection import Searched, select_causes
 from sgms_mhe.diagnosis.uncertainty import covariance

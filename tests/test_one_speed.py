@@ -11,7 +11,7 @@ import pytest
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.harmonics import list_smoothed
-from sgms_mhe.diagnosis.result import Cause, Rms
+from sgms_mhe.diagnosis.parts import Cause, Rms
 from sgms_mhe.identification.search import element_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.excitation import in_step

@@ -20,7 +20,7 @@ from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, pla
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import _thinned
 from sgms_mhe.diagnosis.models import make_model
-from sgms_mhe.diagnosis.result import RefutedNumber, Rms
+from sgms_mhe.diagnosis.parts import RefutedNumber, Rms
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification.elements import SLOW_STEP, Stribeck, least_distance

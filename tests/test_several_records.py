@@ -22,7 +22,7 @@ from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import Cause, Diagnosis
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, bounds
-from sgms_mhe.diagnosis.result import Rms
+from sgms_mhe.diagnosis.parts import Rms
 from sgms_mhe.diagnosis.transfer import judge_on_records
 from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.evaluation.prediction import force_error, predict_log

@@ -16,7 +16,7 @@ from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Alternative, Diagnosis
 from sgms_mhe.diagnosis.own_numbers import OwnDifference
 from sgms_mhe.diagnosis.parametrisation import ParameterGroup
-from sgms_mhe.diagnosis.result import RefutedNumber
+from sgms_mhe.diagnosis.parts import RefutedNumber
 from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.statements import Rule, Statement, list_open

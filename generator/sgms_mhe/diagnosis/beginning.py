@@ -14,7 +14,7 @@ from sgms_mhe.diagnosis.final_fit import FinalFit
 from sgms_mhe.diagnosis.fits import Fit
 from sgms_mhe.diagnosis.numbers import friction_changes
 from sgms_mhe.diagnosis.parametrisation import drop_bounds
-from sgms_mhe.diagnosis.result import Cause, PlainFriction, RefutedNumber
+from sgms_mhe.diagnosis.parts import Cause, PlainFriction, RefutedNumber
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.identification.description import identified_effects
 from sgms_mhe.identification.elements import NO_RISE, SLOW_STEP, least_distance

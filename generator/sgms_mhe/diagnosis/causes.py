@@ -19,7 +19,7 @@ from sgms_mhe.diagnosis.parametrisation import (
     machine_groups,
     smooth_law,
 )
-from sgms_mhe.diagnosis.result import Cause, Rms
+from sgms_mhe.diagnosis.parts import Cause, Rms
 from sgms_mhe.diagnosis.rivals import Rejected, Selection
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition

@@ -14,7 +14,7 @@ from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.laws import ALIGNMENTS, Laws
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, drop_effect, drop_group
-from sgms_mhe.diagnosis.result import RivalFit
+from sgms_mhe.diagnosis.parts import RivalFit
 from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.search import Step

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
+from sgms_mhe.diagnosis.parts import Cause
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, nearest_peak, propose
-from sgms_mhe.diagnosis.result import Cause
 from sgms_mhe.model.effects import EffectDefinition, effect_definition, effect_names
 from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.recordings.evidence import Nuisance

@@ -17,8 +17,9 @@ from sgms_mhe.diagnosis.joint_fit import JointFit, JointPoint
 from sgms_mhe.diagnosis.numbers import friction_changes
 from sgms_mhe.diagnosis.own_numbers import OwnDifference
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup
+from sgms_mhe.diagnosis.parts import Cause
 from sgms_mhe.diagnosis.record_fit import RecordFit
-from sgms_mhe.diagnosis.result import Cause, Diagnosis
+from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import base_number, effect_definition
 from sgms_mhe.support.arrays import Array, Mask

@@ -19,7 +19,8 @@ from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.final_fit import ALLOWED_ENCODER, FinalFit
 from sgms_mhe.diagnosis.fits import Fit, fit_model
 from sgms_mhe.diagnosis.parametrisation import ParameterGroup, machine_groups
-from sgms_mhe.diagnosis.result import Cause, StandsFor, Verdict
+from sgms_mhe.diagnosis.parts import Cause, StandsFor
+from sgms_mhe.diagnosis.result import Verdict
 from sgms_mhe.diagnosis.structure import leaves_curve
 from sgms_mhe.diagnosis.uncertainty import MOSTLY
 from sgms_mhe.machine import Machine

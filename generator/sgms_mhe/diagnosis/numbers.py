@@ -11,7 +11,7 @@ from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.final_fit import FinalFit
 from sgms_mhe.diagnosis.fits import Fit
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup, smooth_law
-from sgms_mhe.diagnosis.result import BaseParameter, Cause
+from sgms_mhe.diagnosis.parts import BaseParameter, Cause
 from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
 from sgms_mhe.machine import Machine

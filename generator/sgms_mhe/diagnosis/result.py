@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -16,19 +16,27 @@ from sgms_mhe.diagnosis.extension import extension_toml
 from sgms_mhe.diagnosis.learned import Learned
 from sgms_mhe.diagnosis.other_record import JudgedRecord, relative_errors
 from sgms_mhe.diagnosis.own_numbers import OwnDifference
+from sgms_mhe.diagnosis.parts import (
+    Alternative,
+    BaseParameter,
+    Cause,
+    PlainFriction,
+    RefutedNumber,
+    RivalFit,
+    Rms,
+    Score,
+)
 from sgms_mhe.diagnosis.structure import ResidualStructure
 from sgms_mhe.diagnosis.traces import Traces
 from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.model.effects import reported_name, separating_moves
-from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 from sgms_mhe.support.statements import Rule, Statement, list_open
 
 Verdict = Literal["explained", "unexplained", "ambiguous", "adequate"]
-StandsFor = Literal["", "curve over speed", "what has no name"]
 Standing = Literal["certain", "limited", "undecided", "failed", "nothing"]
 """How far a result holds: without reservation; but for numbers or questions that stay open; not decided; not; no
 motion to judge by."""
@@ -41,141 +49,6 @@ MOTION: Final = "record a motion: strokes in both directions at several speeds, 
 """Next moves: where something is left, where the encoder hides it, where it is a curve over speed, at a standstill."""
 CHANCE: Final = 0.05
 """Chance that noise looks like a cause, from which the cause is not certain."""
-Outcome = Literal["named", "redundant", "too small", "not significant"]
-"""Of a candidate in a round: added; good, but another was better; found, but less than matters; not found."""
-
-
-@dataclass(frozen=True)
-class Rms:
-    """RMS of measured minus simulated friction [N], on the segments that the fit saw and on those it did not."""
-
-    before: float
-    after: float
-    held_out_before: float
-    held_out_after: float
-
-
-@dataclass(frozen=True)
-class Cause:
-    """A named cause.
-
-    Attributes:
-        name: of an effect, or of numbers of the base model.
-        label: name within the extended machine (`force_ripple_2` for the second of its name).
-        parameters: values, units in their names (a wrong base number: `coulomb_N`, `stiffness_1_N_m`, ...).
-        std: one standard deviation of each, robust to coloured residuals; NaN where the data do not tell.
-        nominal: values of the machine file for a wrong base number, else empty.
-        rms: without and with this cause, everything else in place.
-        gain_N: RMS of the force that this cause explains on held-out data.
-        gain_interval_N: 95 % interval of `gain_N` over held-out blocks.
-        p_value: of the score test against the model without it, multiplicity included.
-        vague: parameters that the record does not determine.
-        stands_for: what it is a part of, where it is no cause of its own: a curve over speed of another form, which is
-            left or named beside it; or a force without a name, which it predicts though it is not certain or changes.
-        transfers: whether it holds on the other records; None: there are none, or none of them shows it.
-    """
-
-    name: str
-    label: str
-    parameters: Mapping[str, float]
-    std: Mapping[str, float]
-    nominal: Mapping[str, float]
-    rms: Rms
-    gain_N: float
-    gain_interval_N: tuple[float, float]
-    p_value: float
-    vague: tuple[str, ...] = ()
-    stands_for: StandsFor = ""
-    transfers: bool | None = None
-
-
-@dataclass(frozen=True)
-class Score:
-    """Score of one candidate in one step of the forward selection.
-
-    Attributes:
-        name: candidate.
-        round: 1 is the first search over the refitted base model.
-        p_value: autocorrelation-robust score test, multiplicity included.
-        gain_N: RMS of the force it explains by cross-validation in the linear approximation (negative gains: 0).
-        refit_gain_N: the same after the non-linear refit, NaN where it was not refitted.
-        parameters: where its search ended.
-        outcome: see `Outcome`.
-    """
-
-    name: str
-    round: int
-    p_value: float
-    gain_N: float
-    refit_gain_N: float
-    parameters: Mapping[str, float]
-    outcome: Outcome
-
-
-@dataclass(frozen=True)
-class Alternative:
-    """A candidate that was not named, and why; `rival` if the data cannot tell it from a named one.
-
-    `parameters`: of its refit; `excess_N`: RMS of the force by which it fits worse than what it would replace.
-    """
-
-    name: str
-    why_not: str
-    rival: bool
-    instead_of: str | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    excess_N: float = math.nan
-
-
-@dataclass(frozen=True, eq=False)
-class RivalFit:
-    """Fit of a rival in a cause's place, which did not see the held-out segments.
-
-    Attributes:
-        name: of the rival.
-        instead_of: cause whose place it takes.
-        rms_N, held_out_rms_N: RMS of measured minus simulated friction on the segments that the fit saw, and on those
-            it did not.
-        residual_N: measured minus simulated (m), in step with `Traces`.
-    """
-
-    name: str
-    instead_of: str
-    rms_N: float
-    held_out_rms_N: float
-    residual_N: Array
-
-
-@dataclass(frozen=True)
-class BaseParameter:
-    """A number of the base model, as the file has it and as the refit found it (`std` robust; NaN: not excited)."""
-
-    name: str
-    nominal: float
-    refitted: float
-    std: float
-
-
-@dataclass(frozen=True)
-class RefutedNumber:
-    """A number of the machine file that the record refutes: the file's value, the record's, one standard deviation."""
-
-    name: str
-    file: float
-    record: float
-    std: float
-
-
-@dataclass(frozen=True)
-class PlainFriction:
-    """Residual of Coulomb and viscous friction by least squares, mass and an offset beside them.
-
-    RMS on the segments that the fit saw, on those that it did not, and of the force there [N].
-    """
-
-    rms: float
-    held_out: float
-    force: float
 
 
 @dataclass(frozen=True, repr=False)

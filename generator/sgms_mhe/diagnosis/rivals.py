@@ -28,8 +28,8 @@ from sgms_mhe.diagnosis.criteria import (
 )
 from sgms_mhe.diagnosis.fits import Fit, Subject, try_fit
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup, drop_effect, drop_group, machine_groups
+from sgms_mhe.diagnosis.parts import Score
 from sgms_mhe.diagnosis.proposals import Proposal
-from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, gain_force, score_test

@@ -29,8 +29,8 @@ from sgms_mhe.diagnosis.curves import fit_curve
 from sgms_mhe.diagnosis.fits import EffectsError, Fit, Subject, fit_model, try_fit
 from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, start_unknown_numbers
 from sgms_mhe.diagnosis.models import FitError
+from sgms_mhe.diagnosis.parts import Outcome, Score
 from sgms_mhe.diagnosis.reduction import keep_necessary, prune_effects
-from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.rivals import Contest, Selection, cause_significance, find_rivals
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import cause, effect_definition

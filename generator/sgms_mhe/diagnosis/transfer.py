@@ -27,9 +27,10 @@ from sgms_mhe.diagnosis.learned_machine import judge_learned
 from sgms_mhe.diagnosis.origin import A_PERIOD, find_pitches, find_reach, search_origin
 from sgms_mhe.diagnosis.other_record import JudgedRecord, Origin, TransferredCause
 from sgms_mhe.diagnosis.own_numbers import is_of_record
+from sgms_mhe.diagnosis.parts import Cause
 from sgms_mhe.diagnosis.preparation import prepare_log
 from sgms_mhe.diagnosis.record_fit import RecordFit, shift_position
-from sgms_mhe.diagnosis.result import Cause, Diagnosis
+from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.evidence import gain_force, gain_interval, noise_floor
 from sgms_mhe.recordings.recording import Recording

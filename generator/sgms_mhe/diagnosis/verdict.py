@@ -42,8 +42,9 @@ from sgms_mhe.diagnosis.learned_machine import learn_beside
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.numbers import base_parameters, extended_machine
 from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
+from sgms_mhe.diagnosis.parts import Rms, Score
 from sgms_mhe.diagnosis.preparation import Prepared, prepare_logs
-from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score
+from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.diagnosis.selection import Searched, drop_effects, search_causes, select_causes
 from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.diagnosis.traces import Traces

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sgms_mhe.diagnosis.fits import report_values
-from sgms_mhe.diagnosis.result import Alternative
+from sgms_mhe.diagnosis.parts import Alternative
 from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.machine import Units
 
