@@ -83,13 +83,14 @@ def _compare_forms(machine: Machine, log: Path, *, json: bool) -> str:
     """Return the error of each form along a log: one a line, or as JSON."""
     from sgms_mhe.api import exporting
     from sgms_mhe.api.inputs import recorded_log
+    from sgms_mhe.emission.friction_table import USUAL
 
     source, units = recorded_log(log, machine, note=common.note), machine.plant.units
     content: dict[str, Any] = {}
     lines = []
     for form in exporting.FORMS:
         try:
-            error = exporting.export(machine, form, log=source, points=20 if form == "csv" else None).error
+            error = exporting.export(machine, form, log=source, points=USUAL if form == "csv" else None).error
         except InputError as refusal:
             content[form] = text = f"refused, {refusal.allowed}"
         else:

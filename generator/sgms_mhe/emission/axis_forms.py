@@ -144,10 +144,8 @@ def _write_simple(machine: Machine, title: str, form: str, template: str) -> Wri
         raise InputError(machine.source, "plant.kind", machine.plant.kind, "rotary: BAM knows joints that turn")
     units, friction = machine.plant.units, machine.friction
     held = {effect.label: find_place_force(machine, effect) for effect in machine.effects}
-    if form == "urdf":  # a mass off the axis, and no spring, offset or ripple
-        held = {label: sizes if sizes and not any((*sizes[:2], sizes[4])) else None for label, sizes in held.items()}
-    if form == "bam":  # the pendulum of its logs is all of the load
-        held = {label: sizes if sizes and not any(sizes[:5]) else None for label, sizes in held.items()}
+    absent = {"urdf": (0, 1, 4), "bam": range(5)}.get(form, ())  # no spring, offset or ripple; its logs have the load
+    held = {key: sizes if sizes and not any(sizes[k] for k in absent) else None for key, sizes in held.items()}
     place = [sizes for sizes in held.values() if sizes is not None]
     constant, stiffness, sine, cosine = (float(sum(sizes[k] for sizes in place)) for k in range(4))
     ripples = tuple((size, wave, phase) for *_, size, wave, phase in place if size)
