@@ -178,7 +178,7 @@ def test_a_longer_sample_is_stepped_through_in_parts() -> None:
 # --- equations ---------------------------------------------------------------------------------------------------
 
 
-def simulated(text: str, name: str, push: str, duration: float, start: str = "") -> Any:
+def run_equations(text: str, name: str, push: str, duration: float, start: str = "") -> Any:
     """Position and velocity each millisecond of an exported model that a sine drives, by an independent compiler."""
     source = (
         f"{text}\nmodel Driven\n  {name} axis{start};\nequation\n"
@@ -212,7 +212,7 @@ def test_modelica_moves_as_the_plant_does(case: str, tmp_path: Path) -> None:
     sgms_mhe.export(machine, "fmu3", tmp_path / "axis.fmu")
     with slave_of(tmp_path / "axis.fmu", tmp_path / "unpacked") as slave:
         plant = slave.run(drive_force(machine, 1.0), ("position", "velocity"))[9::10].T
-    found = simulated(exported.text, "Axis", machine.plant.units.push, 1.0)[:, 1:]
+    found = run_equations(exported.text, "Axis", machine.plant.units.push, 1.0)[:, 1:]
     difference, extent = np.abs(found - plant).max(axis=1), np.ptp(plant, axis=1)
     assert (difference < ROUNDED.get(case, 6e-5) * extent).all(), difference / extent
     assert extent[0] > 1e-3
@@ -232,7 +232,7 @@ def test_modelica_starts_within_a_motion(base: str, tmp_path: Path) -> None:
         slave.fmi.exitInitializationMode()
         plant = slave.run(drive_force(machine, 0.2), ("position", "velocity"))[9::10].T
     given = ", ".join(f"start_{name} = {value!r}" for name, value in start.items())
-    found = simulated(exported.text, "Axis", machine.plant.units.push, 0.2, f"({given})")
+    found = run_equations(exported.text, "Axis", machine.plant.units.push, 0.2, f"({given})")
     difference, extent = np.abs(found[:, 1:] - plant).max(axis=1), np.ptp(plant, axis=1)
     assert found[0, 0] == start["position"] and found[1, 0] == start["velocity"]
     assert (difference < ROUNDED.get(base, 1e-4) * extent).all(), difference / extent

@@ -314,7 +314,7 @@ def test_elements_see_where_an_axis_turns_between_samples() -> None:
     assert np.abs(path[motion.steps - 1 :: motion.steps] - position).max() < 0.02e-5
     assert np.abs(position).max() < 0.93e-5
     assert 0.98e-5 < np.abs(path[100 * motion.steps : -100 * motion.steps]).max() < 1.02e-5
-    assert np.array_equal(motion.at_samples(path), path[motion.steps - 1 :: motion.steps])
+    assert np.array_equal(motion.pick_samples(path), path[motion.steps - 1 :: motion.steps])
 
 
 @pytest.mark.parametrize("step", [1e-9, 1e-6])

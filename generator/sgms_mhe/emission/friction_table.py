@@ -59,7 +59,7 @@ def write_table(
         raise InputError("export", "range", f"{slow:g} {fast:g}", "two speeds above 0, the slower one first")
     if points is not None and not 2 <= points <= most:
         raise InputError("export", "points", points, f"2 to {most} for {form}")
-    inside = tuple(effect for effect in machine.effects if _goes_with_speed(machine, effect.label))
+    inside = tuple(effect for effect in machine.effects if _hangs_on_velocity_alone(machine, effect.label))
     speed = np.geomspace(slow, fast, SPEEDS)
     law = np.array([steady_friction(replace(machine, effects=inside), side * speed) for side in (1.0, -1.0)])
     curves = law if form == "csv" else 0.5 * (law[:1] - law[1:])  # drives turn the sign with that of the speed
@@ -86,7 +86,7 @@ def write_table(
     return render_form(machine, f"{form}.txt" if form != "csv" else "friction.csv", title, written, table=table)
 
 
-def _goes_with_speed(machine: Machine, label: str) -> bool:
+def _hangs_on_velocity_alone(machine: Machine, label: str) -> bool:
     """Return True if an effect moves the axis and reads nothing of the signals but its velocity."""
     effects = tuple(effect for effect in machine.effects if effect.label == label)
     axis = axis_model(replace(machine, effects=effects))

@@ -6,7 +6,7 @@ No force was recorded, so the fit is one of output error. Loads that the runs st
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from sgms_mhe.configuration import G_N, carry_load, make_machine
 from sgms_mhe.identification.result import Identification, Number
+from sgms_mhe.identification.search import Progress
 from sgms_mhe.identification.writing import check_toml, machine_toml
 from sgms_mhe.machine import Machine, plant_content
 from sgms_mhe.model.effects import GEAR_FRICTION, PLAY
@@ -27,8 +28,6 @@ from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.numbers import SIGMAS, round_number
 from sgms_mhe.support.parallel import run_parallel
 from sgms_mhe.support.statements import Rule, Statement, list_open
-
-Report = Callable[[str], None]
 
 FEW: Final = 16
 """Runs, spread over all, that the first fits take."""
@@ -56,7 +55,7 @@ _MOTOR: Final = ("torque_constant", "resistance", "gain_unit", "speed_limit")
 _POSITIVE: Final = ("mass", "coulomb", STIFFNESS, *(f"drive.{key}" for key in _MOTOR))
 
 
-def identify_commanded(logs: Sequence[Log], name: str, like: Machine | None, report: Report) -> Identification:
+def identify_drive(logs: Sequence[Log], name: str, like: Machine | None, report: Progress) -> Identification:
     """Fit drive, inertia and friction of a commanded axis to the motion of its runs.
 
     Args:
@@ -83,7 +82,7 @@ def identify_commanded(logs: Sequence[Log], name: str, like: Machine | None, rep
     report(f"fits over {len(few.logs)} of {len(logs)} runs, from {len(starts)} starts")
     tried = [few.fit(few.fit(few.start(start), 20, OUTLYING[0]).x, 20, OUTLYING[1]) for start in starts]
     for start, fitted in zip(starts, tried, strict=True):
-        found_at = {"cost": float(fitted.cost), "at": few.named(fitted.x)}
+        found_at = {"cost": float(fitted.cost), "at": few.name_values(fitted.x)}
         log_decision("commanded", "least error from a start", start=start, **found_at)
     best = min(tried, key=lambda found: float(found.cost))
     report(f"fit over {len(logs)} runs")
@@ -196,13 +195,13 @@ class _FreeRuns:
         named = zip(self.names, self.nominal, strict=True)
         return np.asarray(np.array([values.get(name, value) for name, value in named]) / self.unit)
 
-    def named(self, x: Array) -> dict[str, float]:
+    def name_values(self, x: Array) -> dict[str, float]:
         """Return numbers by name, SI, of coordinates."""
         return dict(zip(self.names, (self.unit * x).tolist(), strict=True))
 
     def _run(self, k: int, x: Array, starts: Sequence[ShotStart]) -> tuple[Array, list[ShotStart]]:
         record, axis = self.records[k], self.axes[k]
-        values = self.named(x)
+        values = self.name_values(x)
         square, run = values.pop(RADIUS, 0.0), self.logs[k].run
         if run:
             values["mass"] += run["mass"] * (run["length"] ** 2 + square)
@@ -241,7 +240,7 @@ class _FreeRuns:
         fits = {"loss": "soft_l1", "f_scale": outlying, "ftol": 1e-5, "max_nfev": most, "x_scale": "jac"}
         return least_squares(residual, x, jacobian, bounds=self.bounds, **fits)
 
-    def by_part(self, values: Array) -> list[Array]:
+    def split_by_parts(self, values: Array) -> list[Array]:
         """Split values (n) of all samples by runs, few of them by parts of each: what repeats itself, or not."""
         count = -(-PARTS // len(self.records))
         edges = np.cumsum([sum(b - a for a, b in record.stretches) for record in self.records])[:-1]
@@ -250,7 +249,7 @@ class _FreeRuns:
     def spread(self, found: Any) -> Array:
         """Return the deviation of every number by the spread of its gradient between parts; a delay has steps."""
         weight = 1.0 / np.sqrt(1.0 + (found.fun / OUTLYING[1]) ** 2)
-        parts = zip(self.by_part(found.jac), self.by_part(found.fun * np.sqrt(weight)), strict=True)
+        parts = zip(self.split_by_parts(found.jac), self.split_by_parts(found.fun * np.sqrt(weight)), strict=True)
         gradients = np.array([jac.T @ rest for jac, rest in parts])
         spread = gradients @ np.linalg.pinv(found.jac.T @ found.jac)
         runs = len(gradients)
@@ -263,7 +262,7 @@ def _look_for_play(problem: _FreeRuns, x: Array) -> Statement:
     widths, costs = [0.0, *(share * problem.extent for share in PLAYS)], []
     for problem.play in widths:
         ratio = problem.fit(x, 4, OUTLYING[1]).fun / OUTLYING[1]
-        costs.append([float(np.sum(np.sqrt(1.0 + run**2) - 1.0)) for run in problem.by_part(ratio)])
+        costs.append([float(np.sum(np.sqrt(1.0 + run**2) - 1.0)) for run in problem.split_by_parts(ratio)])
     problem.play = 0.0
     floored = np.array(costs) + LEAST * np.mean(costs[0])
     gains = np.log(floored[0] / floored[1:])  # of each part alike: a few that fall freely cost most

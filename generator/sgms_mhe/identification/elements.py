@@ -94,7 +94,9 @@ def run_element(
             # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
             d *= np.array([-values[0], 1.0, values[2]]) / nominal
         if motion.load is not None:
-            chi, d = _take_load_off(motion.at_samples(motion.load), motion.at_samples(motion.velocity), rise, chi, d)
+            chi, d = _take_load_off(
+                motion.pick_samples(motion.load), motion.pick_samples(motion.velocity), rise, chi, d
+            )
         return motion.to_rows(chi), None if d is None else motion.to_rows(d)
 
     # The unit says which distance it is: values alone are those of others at another speed as well.

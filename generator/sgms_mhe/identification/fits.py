@@ -405,7 +405,7 @@ def friction_change(view: RecordView, fit: AxisFit, motions: Sequence[ElementMot
     shape, viscous = fit.shape, float(fit.coefficient("viscous").sum())
     runs = run_elements(motions, shape.law, shape.distances, shape.rise or NO_RISE, jacobian=False)
     faster = [
-        other.to_rows(other.at_samples(other.velocity)) - own.to_rows(own.at_samples(own.velocity))
+        other.to_rows(other.pick_samples(other.velocity)) - own.to_rows(own.pick_samples(own.velocity))
         for other, own in zip(motions, view.motions, strict=True)
     ]
     change = sum((level * run.chi for level, run in zip(fit.levels, runs, strict=True)), -fit.elements @ fit.levels)

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from sgms_mhe.configuration import make_machine, override_machine
-from sgms_mhe.identification.commanded import identify_commanded
+from sgms_mhe.identification.commanded import identify_drive
 from sgms_mhe.identification.description import (
     MISFIT,
     FrictionError,
@@ -162,7 +162,7 @@ def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) ->
         for option in ("mass", "elements", "objective"):
             if (value := getattr(wanted, option)) not in (None, "force", "motion"):
                 raise InputError("identify", option, value, "none: no log has a force to fit it to")
-        return identify_commanded(logs, wanted.name, wanted.like, report)
+        return identify_drive(logs, wanted.name, wanted.like, report)
     return _describe(explore(logs, wanted, report), sort_logs(logs), wanted, report)
 
 

@@ -85,7 +85,7 @@ class ElementMotion:
         course = np.interp((samples + late) / self.factor, np.arange(self.rows), load)
         return replace(self, load=course, runs=Runs(RUNS_CACHED))
 
-    def at_samples(self, series: Array) -> Array:
+    def pick_samples(self, series: Array) -> Array:
         """Return what a series (n) is at the samples (n // steps)."""
         return series[self.steps - 1 :: self.steps]
 

@@ -218,7 +218,7 @@ def block_moments(recording: Recording, X: Array, residual: Array) -> tuple[Arra
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordLoss:
-    """What a model leaves of a record.
+    """Residual of a record along a model, and its squares by blocks.
 
     Attributes:
         residual: measured minus model (m) [N].
@@ -238,7 +238,7 @@ class RecordLoss:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FitLoss(RecordLoss):
-    """What a fit leaves of a record, and of each block unseen.
+    """Residual of a fit, and its squares on blocks that it has not seen.
 
     Attributes:
         cross: sum of squares per block, each predicted by a fit without its fold (blocks).
@@ -354,18 +354,11 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
     # Blocks that happen to balance must not promise more than noise would allow.
     white = inverse * float(np.mean(residual[recording.used] ** 2))
     for least in (white, stationary_covariance(recording, X, residual, inverse)):
-        noise = add_missing(noise, least)
+        # What is missing is added as that noise is correlated: a sum may be known of which no part is.
+        variance = np.maximum(np.diag(least), TINY)
+        missing = np.sqrt(np.maximum(0.0, variance - np.diag(noise)) / variance)
+        noise = noise + least * np.outer(missing, missing)
     return np.asarray(noise + inverse * COHERENT_ROWS * wrong**2)
-
-
-def add_missing(covariance: Array, least: Array) -> Array:
-    """Return a covariance (p, p) with what it lacks of another's variances.
-
-    What is missing is added as the other is correlated: a sum may be known of which no part is.
-    """
-    variance = np.maximum(np.diag(least), TINY)
-    missing = np.sqrt(np.maximum(0.0, variance - np.diag(covariance)) / variance)
-    return np.asarray(covariance + least * np.outer(missing, missing))
 
 
 def invert_information(H: Array) -> Array:
