@@ -390,7 +390,10 @@ def test_a_position_that_starts_over_wants_its_period(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.columns["position_m"], np.arange(500) * 300 / 1e5, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("suffix", "library"), [(".h5", "h5py"), (".parquet", "pyarrow"), (".mf4", "asammdf")])
+LIBRARIES = [(".h5", "h5py"), (".parquet", "pyarrow"), (".mf4", "asammdf"), (".bag", "rosbags"), (".mcap", "rosbags")]
+
+
+@pytest.mark.parametrize(("suffix", "library"), LIBRARIES)
 def test_an_absent_library_is_named(suffix: str, library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, library, None)
     path = tmp_path / f"log{suffix}"
@@ -399,7 +402,7 @@ def test_an_absent_library_is_named(suffix: str, library: str, tmp_path: Path, m
         understand(path)
 
 
-@pytest.mark.parametrize(("suffix", "library"), [(".h5", "h5py"), (".parquet", "pyarrow"), (".mf4", "asammdf")])
+@pytest.mark.parametrize(("suffix", "library"), [*LIBRARIES, (".db3", "rosbags")])
 @pytest.mark.parametrize("content", [b"", b"anything", bytes(range(256)) * 40])
 def test_a_damaged_container_is_refused(suffix: str, library: str, content: bytes, tmp_path: Path) -> None:
     pytest.importorskip(library, reason=f"library absent: {library}")

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from sgms_mhe.logfiles.bags import read_bag
 from sgms_mhe.logfiles.clocks import Note, join_seconds
 from sgms_mhe.logfiles.hdf5 import read_hdf5
 from sgms_mhe.logfiles.json_files import SUFFIXES
@@ -37,8 +38,12 @@ READERS: Final[Mapping[str, Callable[[Path], Table]]] = {
     **dict.fromkeys((".parquet", ".pq"), read_parquet),
     **dict.fromkeys((".feather", ".arrow"), read_feather),
     **dict.fromkeys((".mf4", ".mdf"), read_mdf),
+    **dict.fromkeys((".mcap", ".bag", ".db3"), read_bag),
 }
 """Reader of each format that is no text, by the suffix of the file's name, in lower case."""
+
+FOLDERS: Final[Mapping[str, Callable[[Path], Table]]] = {"metadata.yaml": read_bag, "meta/info.json": read_parquet}
+"""Reader of a folder, by the file that makes it one of ROS 2 or LeRobot."""
 
 MOST_REPEATED: Final = 0.01
 """Share of the samples that may have the time of the one before: beyond it the stamps are coarser than the samples."""
@@ -266,10 +271,15 @@ def _join(table: Table, file: str, other: Table) -> Table:
 def _read_file(path: Path, mapping: LogMapping | None, least: int) -> Table:
     """Read a file of a format that its suffix tells, or else a text. Raises InputError for one that is neither."""
     reader = READERS.get(path.suffix.lower())
+    if path.is_dir():
+        reader = next((reader for name, reader in FOLDERS.items() if (path / name).is_file()), None)
+        if reader is None:
+            raise InputError(path, "folder", None, f"a file, or a folder with {' or '.join(FOLDERS)} in it")
     try:
         if reader is None:
             return read_text(path, mapping, least)
-        path.open("rb").close()  # a file that cannot be opened is told from one that is damaged
+        if not path.is_dir():
+            path.open("rb").close()  # a file that cannot be opened is told from one that is damaged
         return reader(path)
     except OSError as error:
         raise InputError(path, "file", None, f"a readable log ({error.strerror or error})") from None

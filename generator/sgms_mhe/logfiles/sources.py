@@ -146,9 +146,10 @@ def find_missing(path: Path, table: Table, mapping: LogMapping | None, preferred
 def _find_unit(column: Column, quantity: Quantity) -> tuple[float, str]:
     """(factor, unit) that the file states for a column, beside the name or in it, as this package spells it.
 
-    The factor is that of 0.001 deg, and 1 of a unit whose factor only [log] can say.
+    The factor is that of 0.001 deg, and 1 of a unit whose factor only [log] can say. `rad or m` is the quantity's own.
     """
     text = column.unit if normal_unit(column.unit) not in ("", "-") else split_name(column.header)[1]
+    text = quantity.unit if quantity.unit in text.split(" or ") else text
     unit = normal_unit(text)
     if unit in ("nm", "NM") and quantity.unit == "N m":  # no torque is in nanometres
         return 1.0, "N m"
