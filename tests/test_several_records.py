@@ -21,6 +21,7 @@ from sgms_mhe.api.inputs import list_sources
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import Cause, Diagnosis
 from sgms_mhe.diagnosis.extension import extend_machine
+from sgms_mhe.diagnosis.joint_numbers import refit_to_motion
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, bounds
 from sgms_mhe.diagnosis.parts import Rms
 from sgms_mhe.diagnosis.transfer import judge_on_records
@@ -28,6 +29,7 @@ from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.free_run import run_freely
+from sgms_mhe.recordings.output_error import Objective
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.statements import Rule
@@ -150,6 +152,45 @@ def test_an_offset_of_each_record_is_no_one_number_and_the_estimator_follows_it(
     assert dict(found.extended.effects[0].parameters) == pytest.approx({"force_N": 5.0}, abs=0.1)
     assert "constant_offset.force_N" in found.extended.estimator.parameters
     assert found.extended.estimator.prior["constant_offset.force_N"] == pytest.approx(55.0, abs=0.1)
+
+
+@pytest.mark.parametrize("objective", ["motion", "both"])
+def test_numbers_of_the_written_file_are_those_of_the_motion(machine: Machine, objective: Objective) -> None:
+    """Level, ripple and mass of the file and of its causes alike; what no cause says is another stays."""
+    heavy = ("mass_mismatch", {"mass_kg": 2.0})
+    log = record_axis(machine, 2, [RIPPLE, heavy])
+    level, amplitude = machine.friction.coulomb, RIPPLE[1]["amplitude_N"]
+    wrong = make_diagnosis(
+        machine, log, [(RIPPLE[0], {**RIPPLE[1], "amplitude_N": 0.5 * amplitude})], {"coulomb": 1.2 * level}
+    )
+    cause = replace(
+        wrong.causes[0],
+        name="mass_mismatch",
+        label="mass_mismatch",
+        parameters={"mass_kg": 1.0},
+        std={"mass_kg": math.nan},
+    )
+    assert wrong.extended is not None
+    heavier = override_machine(wrong.extended, {"plant": {"mass": machine.plant.mass + 1.0}})
+    found = refit_to_motion(replace(wrong, causes=(*wrong.causes, cause), extended=heavier), [log], objective)
+    assert found.extended is not None and found.refit is not None
+    assert found.extended.friction.coulomb == pytest.approx(level, rel=0.02)
+    assert found.extended.friction.stiffness == machine.friction.stiffness
+    assert found.extended.effects[0].parameters["amplitude_N"] == pytest.approx(amplitude, rel=0.1)
+    assert found.extended.plant.moved == pytest.approx(machine.plant.moved + 2.0, rel=0.01)
+    ripple, coulomb, mass = found.causes
+    assert ripple.parameters["amplitude_N"] == found.extended.effects[0].parameters["amplitude_N"]
+    assert (
+        coulomb.parameters["coulomb_N"] == found.extended.friction.coulomb
+        and 0.0 < coulomb.std["coulomb_N"] < 0.2 * level
+    )
+    assert mass.parameters["mass_kg"] == pytest.approx(found.extended.plant.moved - machine.plant.moved)
+    moved, before = found.refit.motion
+    assert moved < 0.1 * before
+    assert WrittenError.measure(machine, found.extended, log).motion[1] == pytest.approx(moved, rel=0.01)
+    assert Rule.REFITTED_MOTION in [statement.rule for statement in found.statements]
+    alone = refit_to_motion(replace(wrong, causes=wrong.causes[:1]), [log], objective)
+    assert alone.extended is not None and alone.extended.plant == machine.plant
 
 
 def test_errors_of_the_written_file_are_those_of_predict(machine: Machine) -> None:

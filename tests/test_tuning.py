@@ -19,8 +19,16 @@ from sgms_mhe.evaluation.plots import trade_off_figure
 from sgms_mhe.evaluation.tuning import Trial, Tuned, tune
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.output_error import Objective
 from sgms_mhe.signals.chain import signals_from_log
-from sgms_mhe.signals.innovations import LEAST_UPDATES, innovation_loss, moving_updates, stated_noise
+from sgms_mhe.signals.innovations import (
+    LEAST_UPDATES,
+    counted_innovations,
+    innovation_loss,
+    integrate_innovations,
+    moving_updates,
+    stated_noise,
+)
 from sgms_mhe.signals.logs import Log, write_log
 from statement_cases import check_statements
 
@@ -122,8 +130,40 @@ def test_wild_readings_do_not_count_for_more_than_they_are(small: Path) -> None:
     changes: dict[str, Any] = vars(log) | {"force_N": wild}
     clean, dirty = estimator.estimate_log(log), estimator.estimate_log(Log(**changes))
     assert stated_noise(dirty) == pytest.approx(stated_noise(clean), rel=0.3)
-    loss, ratio = innovation_loss(dirty, moving_updates(dirty))
-    assert np.all(np.isfinite(loss)) and 0.0 < ratio <= 25.0
+    innovation, variance = counted_innovations(dirty, moving_updates(dirty))
+    assert np.all(np.isfinite(innovation_loss(innovation, variance)))
+    assert np.all(innovation**2 <= 25.0 * (1.0 + 1e-9) * variance)
+
+
+def test_what_goes_on_alike_counts_in_the_motion() -> None:
+    """The predicted motion is that of the innovations as forces; independent ones are as likely in either norm."""
+    rng, n, updates = np.random.default_rng(4), 20000, 20
+    white = rng.standard_normal(n)
+    moved, variance = integrate_innovations(white, np.ones(n), updates)
+    speed = np.cumsum(white[:updates])
+    assert moved[0] == pytest.approx(np.sum(speed))  # semi-implicit Euler, period and mass of 1
+    assert np.mean(moved**2 / variance) == pytest.approx(1.0, abs=0.1)
+    coloured = np.convolve(white, np.full(10, 0.1**0.5), "same")
+    moved, variance = integrate_innovations(coloured, np.ones(n), updates)
+    assert np.mean(moved**2 / variance) > 4.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("objective", ["motion", "both"])
+def test_weights_are_chosen_in_the_norm_that_is_asked(small: Path, tmp_path: Path, objective: Objective) -> None:
+    """The likeliest weights of a norm are so in it; both errors are stated, with the units of the axis."""
+    machine, path = stated(small, 2.0), tmp_path / "log.csv"
+    log = moved(machine, 0.3)
+    write_log(path, log)
+    by_force, asked = (tune_log(machine, log, objective=norm) for norm in ("force", objective))
+    assert asked.best.better_by(asked.start) > 2.0
+    other = override_machine(machine, by_force.changes())
+    again = tune(other, log, objective=objective)  # from the likeliest by the force
+    assert again.best.mean <= again.start.mean
+    said = json.loads(done("tune", small, path, "--objective", objective, "--json").stdout)
+    about = [statement["about"] for statement in said["statements"]]
+    assert {"error of the force, an update ahead", "error of the motion, 0.1 s ahead"} <= set(about)
+    assert said["motion_rms_m"]["after"] > 0.0 and said["innovation_rms_N"]["after"] > 0.0
 
 
 def test_statements_have_the_files_weights_whatever_was_tried(small: Path) -> None:

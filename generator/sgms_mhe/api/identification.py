@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, load, read_logs
 from sgms_mhe.configuration import override_log
@@ -13,7 +13,7 @@ from sgms_mhe.identification import Identification, Wanted
 from sgms_mhe.identification import identify as identify_logs
 from sgms_mhe.machine import Machine, Units
 from sgms_mhe.machine.writing import toml_log
-from sgms_mhe.recordings.output_error import Objective
+from sgms_mhe.recordings.output_error import check_objective
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import read_only
 from sgms_mhe.support.options import Option
@@ -55,9 +55,7 @@ def identify(
     Raises:
         InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
     """
-    known: tuple[str, ...] = get_args(Objective)
-    if objective not in known:
-        raise InputError("identify", "objective", objective, f"one of {', '.join(known)}")
+    check_objective("identify", objective)
     model = None if like is None else override_log(load(like), table or {})
     read = read_logs(logs, model, table=table, note=note)
     if not read:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import click
 
@@ -38,6 +38,7 @@ def command(
     start_s: Annotated[float, Option("S", 0.0, 1e8, "--from")] = 0.0,
     end_s: Annotated[float, Option("S", 0.0, 1e8, "--to")] = math.inf,
     held_out_s: Sequence[tuple[float, float]] | None = None,
+    objective: Literal["force", "motion", "both"] = "force",
     standalone: bool = False,
     trace: Annotated[Path | None, Option("DIR")] = None,
     json: bool = False,
@@ -78,7 +79,9 @@ def command(
     others = [common.recorded_log(other, machine) for other in log[1:]]
     another = common.recorded_log(unseen, machine) if unseen else None
     with trace_decisions(trace), common.steps_bar() as progress:
-        found = diagnose(machine, recorded, others=others, progress=progress, held_out_s=held_out_s)
+        found = diagnose(
+            machine, recorded, others=others, progress=progress, held_out_s=held_out_s, objective=objective
+        )
     found = replace(found, standalone=standalone)
     write_diagnosis(found, folder)
     gain, refused = None, None

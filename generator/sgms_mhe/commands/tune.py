@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from sgms_mhe.commands import common
 from sgms_mhe.commands.options import make_command
@@ -15,12 +15,15 @@ if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
 
 
-@make_command("tune etel_xy log.csv --out tuned.toml", "tune my_axis.toml log.csv --plot trade_off.png")
+@make_command(
+    "tune etel_xy log.csv --out tuned.toml", "tune my_axis.toml log.csv --plot trade_off.png", of="tuning.tune"
+)
 def command(
     machine: Machine,
     log: Path,
     *,
     out: Annotated[Path | None, Option("MACHINE.toml")] = None,
+    objective: Literal["force", "motion", "both"] = "force",
     standalone: bool = False,
     plot: Annotated[Path | None, Option("PNG")] = None,
     json: bool = False,
@@ -46,7 +49,7 @@ def command(
     from sgms_mhe.support.files import write_text
 
     with common.step_notes() as progress:
-        tuned = tuning.tune(machine, log, note=common.note, progress=progress)
+        tuned = tuning.tune(machine, log, objective=objective, note=common.note, progress=progress)
     if out is not None:
         write_text(out, _toml(tuned, out, log.name, standalone))
     if plot is not None:
@@ -56,15 +59,18 @@ def command(
 
 
 def _content(tuned: Tuned) -> dict[str, Any]:
-    return {
+    content = {
         "machine": tuned.machine.name,
         "changes": tuned.changes(),
         "loss": {"before": tuned.start.mean, "after": tuned.best.mean},
         "test_ratio": {"before": tuned.start.ratio, "after": tuned.best.ratio},
+        "innovation_rms_N": {"before": tuned.start.force, "after": tuned.best.force},
+        "motion_rms_m": {"before": tuned.start.motion, "after": tuned.best.motion},
         "better_by_sigmas": tuned.best.better_by(tuned.start) if tuned.best.changes else 0.0,
         "kept": list(tuned.kept),
         "statements": [statement.to_json() for statement in tuned.statements],
     }
+    return dict(tuned.machine.plant.units.keyed(content))
 
 
 def _text(tuned: Tuned, outputs: list[Path]) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.beginning import refute_by_causes
 from sgms_mhe.diagnosis.causes import find_vague
 from sgms_mhe.diagnosis.extension import extend_machine
@@ -20,9 +21,13 @@ from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup
 from sgms_mhe.diagnosis.parts import Cause
 from sgms_mhe.diagnosis.record_fit import RecordFit
 from sgms_mhe.diagnosis.result import Diagnosis
-from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import base_number, effect_definition
+from sgms_mhe.machine import Machine, plant_content
+from sgms_mhe.model.effects import BASE_CAUSES, base_number, effect_definition
+from sgms_mhe.recordings.output_error import Objective, refit_motion
+from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array, Mask
+
+Numbers = Mapping[ParameterGroup, Mapping[str, float]]
 
 
 def find_common(found: Diagnosis, fit: RecordFit, causes: Sequence[Cause]) -> Mask:
@@ -140,6 +145,51 @@ def adopt_numbers(
             std = math.sqrt(max(0.0, float(covariance[i, i]))) * abs(column.scale)
             std = math.nan if stopped[i] else std
             deviations.setdefault(column.group, {})[column.name] = std
+    differences = tuple(
+        OwnDifference(column.group, column.name, tuple(column.si(float(at_record[i])) for at_record in thetas))
+        for i, column in enumerate(fit.model.columns)
+        if differing[i]
+    )
+    found = write_numbers(replace(found, differences=differences), extended, values, deviations)
+    labels = {one.group.name for one in differences}
+    causes = [replace(c, transfers=False if c.label in labels else c.transfers) for c in found.causes]
+    result = replace(found, causes=tuple(causes))
+    return result if result.is_rough else replace(result, refuted=refute_by_causes(result.causes))
+
+
+def refit_to_motion(found: Diagnosis, logs: Sequence[Log], objective: Objective) -> Diagnosis:
+    """Return a diagnosis whose extended machine has the numbers that its motion, or both norms, say.
+
+    They are fitted to the records as the file is run on them. Mass stays, where no cause says that it is another.
+    """
+    base = found.extended
+    if base is None:
+        return found
+    plant, given = base.plant, found.machine.plant.moved
+    refit = refit_motion(base, logs, objective, {"mass"} if plant.moved == given else ())
+    groups = {effect.label: ParameterGroup.own(effect.name, effect.label) for effect in base.effects}
+    groups |= {number.name: ParameterGroup.base(name) for name, c in BASE_CAUSES.items() for number in c.numbers}
+    values: dict[ParameterGroup, dict[str, float]] = {}
+    deviations: dict[ParameterGroup, dict[str, float]] = {}
+
+    def set_number(group: ParameterGroup, name: str, value: float, std: float) -> None:
+        values.setdefault(group, {})[name] = value
+        deviations.setdefault(group, {})[name] = std
+
+    for key, value in refit.values.items():
+        label, _, name = key.rpartition(".")
+        if key != "mass":
+            set_number(groups[label or name], name, value, refit.std[key])
+            continue
+        for cause in found.causes:
+            if not cause.nominal and (name := effect_definition(cause.name).adds_mass):
+                set_number(ParameterGroup.own(cause.name, cause.label), name, value - given, refit.std[key])
+    moved = override_machine(base, {"plant": plant_content(plant.kind, refit.values.get("mass", plant.moved))})
+    return replace(write_numbers(replace(found, extended=moved), moved, values, deviations), refit=refit)
+
+
+def write_numbers(found: Diagnosis, extended: Machine, values: Numbers, deviations: Numbers) -> Diagnosis:
+    """Return a diagnosis with other numbers in its causes and in its extended machine, that one with them."""
     friction = dict((found.changes or {}).get("friction", {}))
     friction |= friction_changes(
         extended, {key: v for group, own in values.items() if group.kind == "base" for key, v in own.items()}
@@ -150,11 +200,6 @@ def adopt_numbers(
         own = values.get(ParameterGroup.own(effect.name, effect.label), {})
         known = {**definition.entries(effect.parameters), **own}
         effects.append({"name": effect.name, **(definition.tidy(known) if own else effect.parameters)})
-    differences = tuple(
-        OwnDifference(column.group, column.name, tuple(column.si(float(at_record[i])) for at_record in thetas))
-        for i, column in enumerate(fit.model.columns)
-        if differing[i]
-    )
     has_effects = "effects" in (found.changes or {}) or bool(effects)
     machine, changes = extend_machine(
         found.machine,
@@ -162,24 +207,13 @@ def adopt_numbers(
         friction,
         effects if has_effects else None,
         extended.plant.moved,
-        {name: prior for one in differences for name, prior in one.estimated.items()},
+        {name: prior for one in found.differences for name, prior in one.estimated.items()},
     )
-    labels = {one.group.name for one in differences}
-    stated = tuple(
-        replace(_state(cause, values, deviations), transfers=False if cause.label in labels else cause.transfers)
-        for cause in found.causes
-    )
-    result = replace(found, causes=stated, extended=machine, changes=changes, differences=differences)
-    if not result.is_rough:
-        result = replace(result, refuted=refute_by_causes(stated))
-    return result
+    causes = tuple(_state(cause, values, deviations) for cause in found.causes)
+    return replace(found, causes=causes, extended=machine, changes=changes)
 
 
-def _state(
-    cause: Cause,
-    values: Mapping[ParameterGroup, Mapping[str, float]],
-    deviations: Mapping[ParameterGroup, Mapping[str, float]],
-) -> Cause:
+def _state(cause: Cause, values: Numbers, deviations: Numbers) -> Cause:
     """Return a cause with the numbers of its group, where that has any."""
     group = next((group for group in values if group.name == cause.label), None)
     if group is None:

@@ -32,6 +32,7 @@ from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.model.effects import reported_name, separating_moves
+from sgms_mhe.recordings.output_error import Refit
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import Presentation, Shown, labelled_axes
 from sgms_mhe.support.statements import Rule, Statement, list_open
@@ -89,6 +90,7 @@ class Diagnosis(Shown):
         learned: part of the residual that no cause accounts for and coordinates of the motion predict.
         differences: numbers that the records do not agree on; the extended machine has the first one's.
         written: errors of the machine's file and of the extended one along each record.
+        refit: numbers that the extended machine has by its motion; None where the force says all of them.
     """
 
     machine: Machine
@@ -123,6 +125,7 @@ class Diagnosis(Shown):
     learned: Learned | None = None
     differences: tuple[OwnDifference, ...] = ()
     written: tuple[WrittenError, ...] = ()
+    refit: Refit | None = None
 
     @property
     def errors(self) -> dict[str, float]:
@@ -180,6 +183,7 @@ class Diagnosis(Shown):
             *self.undecided,
             *self._state_records(),
             *learned,
+            *(() if self.refit is None else (self.refit.state(self.machine.plant.units.position),)),
             *self._state_base(),
         )
 

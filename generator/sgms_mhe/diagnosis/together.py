@@ -9,6 +9,7 @@ from dataclasses import replace
 from sgms_mhe.diagnosis.alignment import in_step, offset_notes
 from sgms_mhe.diagnosis.causes import has_size
 from sgms_mhe.diagnosis.criteria import Progress, ProgressReport
+from sgms_mhe.diagnosis.joint_numbers import refit_to_motion
 from sgms_mhe.diagnosis.learned_machine import adopt_tables
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.result import Diagnosis
@@ -16,6 +17,7 @@ from sgms_mhe.diagnosis.transfer import judge_on_records, leaves_something, pred
 from sgms_mhe.diagnosis.verdict import diagnose_logs
 from sgms_mhe.diagnosis.written_file import WrittenError
 from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.output_error import Objective
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
@@ -30,6 +32,7 @@ def diagnose(
     others: Sequence[Log] = (),
     progress: Progress | None = None,
     held_out_s: Sequence[tuple[float, float]] | None = None,
+    objective: Objective = "force",
 ) -> Diagnosis:
     """Say what a machine's model gets wrong along a log, and why.
 
@@ -41,6 +44,7 @@ def diagnose(
         progress: called with each step and the share of the work before it.
         held_out_s: intervals since the log's start [s] that no fit behind a reported gain may see; None: a third of the
             record, in blocks.
+        objective: norm of the last fit of the extended machine's numbers.
 
     Raises:
         InputError: the log does not fit the machine, has too few usable samples, or a model of it is not finite.
@@ -56,6 +60,8 @@ def diagnose(
         found = adopt_tables(found, log)
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
+    if objective != "force":
+        found = refit_to_motion(found, (log, *others), objective)
     written = tuple(WrittenError.measure(machine, found.extended, one) for one in (log, *others))
     return replace(found, written=written, seconds=time.monotonic() - started)
 

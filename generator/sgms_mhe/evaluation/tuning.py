@@ -25,8 +25,15 @@ import numpy as np
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.output_error import Objective
 from sgms_mhe.signals.chain import Signals, signals_from_log
-from sgms_mhe.signals.innovations import LEAST_UPDATES, innovation_loss, moving_updates
+from sgms_mhe.signals.innovations import (
+    LEAST_UPDATES,
+    counted_innovations,
+    innovation_loss,
+    integrate_innovations,
+    moving_updates,
+)
 from sgms_mhe.signals.logs import Log, align_velocity
 from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.errors import InputError
@@ -59,11 +66,14 @@ class Trial:
         changes: over the machine's [estimator.noise], and `horizon`.
         loss: L of each counted update (u).
         ratio: mean test ratio.
+        force, motion: RMS of the innovations [N], and of the motion predicted over the machine's horizon [m].
     """
 
     changes: Mapping[str, float]
     loss: Array
     ratio: float
+    force: float = math.nan
+    motion: float = math.nan
 
     @property
     def mean(self) -> float:
@@ -109,6 +119,14 @@ class Tuned(Shown):
             found.append(Statement(kept if chosen == own else Rule.LIKELIER, name, chosen, numbers={"file": own}))
         numbers = {"before": start.ratio, "start": start.mean, "end": best.mean}
         found.append(Statement(Rule.RATIO, "mean test ratio", best.ratio, numbers=numbers))
+        units, span_s = self.machine.plant.units, _updates(self.machine) / self.machine.sampling.update_rate
+        found += [
+            Statement(Rule.PREDICTED, about, after, None, unit, {"before": before})
+            for about, before, after, unit in (
+                ("error of the force, an update ahead", start.force, best.force, units.force),
+                (f"error of the motion, {span_s:.2g} s ahead", start.motion, best.motion, units.position),
+            )
+        ]
         return (*found, Statement(Rule.CROWDED, "sampling.measurement_rate")) if self.crowded else tuple(found)
 
     def _shown(self) -> Presentation:
@@ -130,7 +148,7 @@ class Tuned(Shown):
         return content
 
 
-def tune(machine: Machine, log: Log, report: Progress = lambda _: None) -> Tuned:
+def tune(machine: Machine, log: Log, report: Progress = lambda _: None, objective: Objective = "force") -> Tuned:
     """Find the weights of a machine under which a log is likeliest, and the horizon that goes with them.
 
     One weight after the other is moved by falling factors until neither way is better, then all of them again. What is
@@ -139,7 +157,8 @@ def tune(machine: Machine, log: Log, report: Progress = lambda _: None) -> Tuned
     Raises:
         InputError: the log has too few updates in motion.
     """
-    search = _WeightSearch(machine, signals_from_log(align_velocity(log), machine), log.source or "log", report)
+    signals = signals_from_log(align_velocity(log), machine)
+    search = _WeightSearch(machine, signals, log.source or "log", report, objective)
     start = best = search.trial({})
     for _ in range(ROUNDS):
         before = best
@@ -162,8 +181,9 @@ def tune(machine: Machine, log: Log, report: Progress = lambda _: None) -> Tuned
 class _WeightSearch:
     """Trials on one log, each made once."""
 
-    def __init__(self, machine: Machine, signals: Signals, source: str, report: Progress) -> None:
+    def __init__(self, machine: Machine, signals: Signals, source: str, report: Progress, objective: Objective) -> None:
         self._machine, self._signals, self._source, self._report = machine, signals, source, report
+        self._objective = objective
         self._trials: dict[tuple[tuple[str, float], ...], Trial] = {}
         self._counted: Mask | None = None
 
@@ -176,9 +196,8 @@ class _WeightSearch:
         key = tuple(sorted(changes.items()))
         if key not in self._trials:
             said = ", ".join(f"{name} {value:.3g}" for name, value in key) or "the file's weights"
-            loss, ratio = self._loss(changes)
-            self._report(f"{said}: {loss.mean():.4f}")
-            self._trials[key] = Trial(dict(changes), loss, ratio)
+            self._trials[key] = self._run(changes)
+            self._report(f"{said}: {self._trials[key].mean:.4f}")
         return self._trials[key]
 
     def along(self, name: str, best: Trial) -> Trial:
@@ -222,7 +241,7 @@ class _WeightSearch:
             found[name] = tuple(sorted(by_value.items()))
         return found
 
-    def _loss(self, changes: Mapping[str, float]) -> tuple[Array, float]:
+    def _run(self, changes: Mapping[str, float]) -> Trial:
         noise = {name: value for name, value in changes.items() if name in LIMITS}
         estimator: dict[str, Any] = {"noise": {**noise, "self_scaling": False}}
         if "horizon" in changes:
@@ -240,4 +259,17 @@ class _WeightSearch:
             if int(self._counted.sum()) < LEAST_UPDATES:
                 allowed = f"at least {LEAST_UPDATES}: a log in which the axis moves for longer"
                 raise InputError(self._source, "updates with a reading in motion", int(self._counted.sum()), allowed)
-        return innovation_loss(estimates, self._counted)
+        pushed = counted_innovations(estimates, self._counted)
+        updates, sampling, plant = _updates(self._machine), self._machine.sampling, self._machine.plant
+        moved = integrate_innovations(*pushed, updates)
+        losses = {"force": innovation_loss(*pushed), "motion": innovation_loss(*moved)}
+        both = losses["force"][updates - 1 :] + losses["motion"]
+        loss = losses.get(self._objective, both)
+        force, motion = (float(np.sqrt(np.mean(error**2))) for error, _ in (pushed, moved))
+        ratio = float(np.mean(pushed[0] ** 2 / pushed[1]))
+        return Trial(dict(changes), loss, ratio, force, motion / sampling.update_rate**2 / plant.moved)
+
+
+def _updates(machine: Machine) -> int:
+    """Return the number of updates that motion is predicted over: the machine's horizon, where a log has as many."""
+    return min(machine.estimator.horizon, LEAST_UPDATES)

@@ -434,8 +434,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
             replace(n, value=refit.values[n.name], std=refit.std[n.name]) if n.name in refit.values else n
             for n in numbers
         )
-        moved, before = refit.motion
-        others.append(Statement(Rule.REFITTED_MOTION, "file", moved, None, units.position, {"before": before}))
+        others.append(refit.state(units.position))
     friction = float(np.std(views.fine.rows.friction[views.fine.rows.used]))
     left = {"friction_N": friction, "floor_N": floor}
     others += [Statement(Rule.LAW_TOLD, "law", numbers={"law": law})] if found.decided else []

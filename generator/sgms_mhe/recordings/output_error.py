@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -22,7 +22,9 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.free_run import FIRST, MotionRecord, ShotStart
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array
+from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import run_parallel
+from sgms_mhe.support.statements import Rule, Statement
 
 Objective = Literal["force", "motion", "both"]
 Shots = list[tuple[int, int]]
@@ -43,6 +45,12 @@ AWAY: Final = 1e3
 """Residual over the noise, at most: of a run that went away."""
 
 
+def check_objective(command: str, objective: str) -> None:
+    """Raise InputError for a norm that there is not."""
+    if objective not in get_args(Objective):
+        raise InputError(command, "objective", objective, f"one of {', '.join(get_args(Objective))}")
+
+
 @dataclass(frozen=True)
 class Refit:
     """Numbers of a machine in another norm.
@@ -58,6 +66,11 @@ class Refit:
     std: Mapping[str, float]
     motion: tuple[float, float]
     force: tuple[float, float]
+
+    def state(self, unit: str) -> Statement:
+        """Return the statement on it; `unit`: of the position."""
+        moved, before = self.motion
+        return Statement(Rule.REFITTED_MOTION, "file", moved, None, unit, {"before": before})
 
 
 def list_sizes(machine: Machine) -> dict[str, float]:

@@ -24,14 +24,31 @@ NOISE_FITS: Final = (0.1, 3.0)
 """Noise that innovations speak for, over the stated one, within which there is nothing to say: room is no mistake."""
 
 
-def innovation_loss(estimates: Estimates, counted: Mask) -> tuple[Array, float]:
-    """Loss (log S + e^2 / S) / 2 of every counted update (u), and their mean test ratio; a refused one is the worst."""
+def counted_innovations(estimates: Estimates, counted: Mask) -> tuple[Array, Array]:
+    """Innovations of counted updates (u) [N], and the variances that were predicted of them; a refused one is far off.
+
+    None is further off than `MOST_RATIO` says.
+    """
     refused = estimates.status[counted] < 0
-    ratio = np.maximum(estimates.test_ratio[counted], 1e-12)
-    variance = np.maximum(estimates.innovation_N[counted] ** 2, 1e-300) / ratio
-    ratio = np.where(refused, MOST_RATIO, np.minimum(ratio, MOST_RATIO))
-    loss: Array = 0.5 * (np.log(variance) + ratio)
-    return loss, float(ratio.mean())
+    innovation, ratio = estimates.innovation_N[counted], np.maximum(estimates.test_ratio[counted], 1e-12)
+    variance = np.maximum(innovation**2, 1e-300) / ratio
+    size = np.where(refused, MOST_RATIO, np.minimum(ratio, MOST_RATIO))
+    return np.copysign(np.sqrt(size * variance), innovation), variance
+
+
+def innovation_loss(innovation: Array, variance: Array) -> Array:
+    """Loss (log S + e^2 / S) / 2 of every innovation (u)."""
+    return np.asarray(0.5 * (np.log(variance) + np.minimum(innovation**2 / variance, MOST_RATIO)))
+
+
+def integrate_innovations(innovation: Array, variance: Array, updates: int) -> tuple[Array, Array]:
+    """Errors of a motion that the model predicts from where it was so many updates before, and their variances.
+
+    The sum over the innovations since, each by the updates that it has moved the axis: the second integral, over
+    period^2 / mass. Independent innovations have the variance; what goes on alike makes the error larger than that.
+    """
+    weights = np.arange(1.0, updates + 1.0)
+    return np.convolve(innovation, weights, "valid"), np.convolve(variance, weights**2, "valid")
 
 
 def moving_updates(estimates: Estimates) -> Mask:

@@ -120,6 +120,7 @@ class Rule(Enum):
     LIKELIER = "weight", "yes", "{about}: {value:g} by the log, {file:g} in the file"
     EQUAL = "weight", "open", "{about}: {value:g} stays, the log does not tell others from it"
     LIKELIEST = "weight", "yes", "{about}: {value:g}, as it is"
+    PREDICTED = "error", "yes", "{about}: {before:.3g} {unit} rms before, {value:.3g} after"
     RATIO = "error", "yes", "{about}: {before:.3g} before, {value:.3g} after; loss {start:.4f} and {end:.4f}"
     CROWDED = "residual", "open", "{about} is beyond twice velocity_cutoff: such readings share their noise"
     FAILED = "row", "no", "failed: {about}: {reason}"
