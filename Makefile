@@ -12,7 +12,7 @@ STAMP := .venv/.installed
 # The machines whose packages stand in generated/; CONTRIBUTING.md has the reason of each.
 COMMITTED := etel_xy etel_xy_controller etel_xy_switching
 PACKAGES := $(if $(filter $(MACHINE),$(COMMITTED)),generated,$(BUILD)/generated)
-WRITTEN_C = $(sort $(shell find runtime_c bench/c tests/c -name '*.[ch]' -o -name '*.[ch]pp'))
+WRITTEN_C = $(sort $(shell find runtime_c bench/c bench/yardstick tests/c -name '*.[ch]' -o -name '*.[ch]pp'))
 # Packages hold these headers; what is emitted has lines of at most 100 columns.
 EMITTED_H = $(sort $(wildcard runtime_c/sgms_*.h))
 EMITTED_STYLE = '{BasedOnStyle: InheritParentConfig, ColumnLimit: 100, BinPackParameters: true}'
@@ -25,7 +25,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 .DEFAULT_GOAL := all
 .PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test test-slow check lint lint-ruff lint-format \
         lint-types lint-c format studies faults lasting benchmark benchmark-diagnosis benchmark-logs benchmark-measured \
-        target verify release-check wheel lock clean distclean
+        target yardstick verify release-check wheel lock clean distclean
 
 # Said before anything is done, of a call that names no target.
 ifeq ($(filter-out all,$(MAKECMDGOALS)),)
@@ -122,6 +122,9 @@ benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants besid
 
 target: $(STAMP) ## MACHINE on an emulated Cortex-M7: instructions, flash, RAM; needs arm-none-eabi-gcc and qemu-system-arm
 	$(RUN) target machines/$(MACHINE).toml
+
+yardstick: $(STAMP) ## one estimation problem on emulated Cortex-M4F and M7: this package, a filter by hand, CasADi's export
+	$(BIN)/python -m sgms_bench.target.yardstick
 
 verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted C, mutated logs: one table; CALLS=1e8 FUZZED=100 takes hours
 	$(BIN)/python -m sgms_bench.verification --keep $(BUILD)/verify $(if $(CALLS),--calls $(CALLS)) \

@@ -149,7 +149,7 @@ def run_trial(
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         program = build_program(target, package, folder, flags)
-        (folder / "samples.bin").write_bytes(_samples(log, updates * M + 1).tobytes())
+        (folder / "samples.bin").write_bytes(encode_samples(log, updates * M + 1).tobytes())
         results = folder / "results.bin"
 
         def report(written: int) -> None:
@@ -161,7 +161,7 @@ def run_trial(
     return _trial(target, machine, model, program, content, log.time_s[M : updates * M + 1 : M])
 
 
-def _samples(log: Log, count: int) -> NDArray[Any]:
+def encode_samples(log: Log, count: int) -> NDArray[Any]:
     """The first samples as the package takes them: position in whole picometres, force in N."""
     metres = log.position_m[:count]
     good = np.abs(metres) < 4e6
