@@ -164,6 +164,7 @@ def places(path: str) -> Iterator[Path]:
             yield from (ROOT / package).glob(pattern)
     for machine in (ROOT / "generated").iterdir():
         yield from machine.glob(path.replace("NAME", machine.name))
+    yield from (ROOT / "templates").glob(f"{path.removeprefix('NAME_')}.jinja")  # of some packages
 
 
 @each_page

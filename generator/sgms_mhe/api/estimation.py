@@ -53,7 +53,7 @@ def estimate(
     if solver not in SOLVERS:
         raise InputError("estimate", "solver", solver, f"one of {', '.join(SOLVERS)}")
     axis = load(machine)
-    recorded = recorded_log(log, axis, note=note)
+    recorded = recorded_log(log, axis, driven=True, note=note)
     check_length(len(recorded), recorded.source, axis)
     if solver in ("c", "ekf"):
         chosen = override_machine(axis, {"estimator": {"kind": "ekf"}}) if solver == "ekf" else axis

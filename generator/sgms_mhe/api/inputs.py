@@ -15,6 +15,7 @@ from sgms_mhe.logfiles.frames import FRAME, Frame, read_frame
 from sgms_mhe.logfiles.plausibility import check_has_force, check_plausible
 from sgms_mhe.logfiles.reading import check_kind, log_of, understand, understand_table
 from sgms_mhe.machine import Machine, log_mapping
+from sgms_mhe.signals.drive import find_force
 from sgms_mhe.signals.logs import JITTER, Log, check_rate
 from sgms_mhe.support.errors import LogWarning
 from sgms_mhe.support.notebooks import read_only
@@ -132,10 +133,12 @@ def warn_of_log(sentence: str) -> None:
     warnings.warn(sentence, LogWarning, stacklevel=depth)
 
 
-def recorded_log(log: LogSource, machine: Machine, *, commanded: bool = False, note: Note | None = None) -> Log:
+def recorded_log(
+    log: LogSource, machine: Machine, *, commanded: bool = False, driven: bool = False, note: Note | None = None
+) -> Log:
     """Read a log that an axis of this machine can have left.
 
-    `commanded`: it may have no force, but a command.
+    `commanded`: it may have no force, but a command; `driven`: its force is then that which the machine's drive made.
 
     Raises:
         InputError: as read_log does; an ImplausibleError where its columns cannot be what they are called.
@@ -143,6 +146,7 @@ def recorded_log(log: LogSource, machine: Machine, *, commanded: bool = False, n
     found = read_log(log, machine, note=note)
     if found.is_commanded and commanded:
         return found
+    found = find_force(found, machine) if driven and machine.drive.kind != "force" else found
     check_has_force(found)
     check_plausible(found, machine)
     return found

@@ -39,4 +39,4 @@ def tune(
     """
     check_objective("tune", objective)
     axis = load(machine)
-    return tune_weights(axis, recorded_log(log, axis, note=note), progress or LOGGER.info, objective)
+    return tune_weights(axis, recorded_log(log, axis, driven=True, note=note), progress or LOGGER.info, objective)

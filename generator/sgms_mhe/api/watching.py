@@ -101,7 +101,7 @@ class Replay(SampleSource):
 
     def __init__(self, path: Path, machine: Machine, speed: float, clock: HostClock, note: Note | None = None) -> None:
         super().__init__()
-        log = recorded_log(path, machine, note=note)
+        log = recorded_log(path, machine, driven=True, note=note)
         self._log = log
         self._signals = signals_from_log(log, machine) if has_own_signals(log) else None
         self._speed, self._clock = speed, clock

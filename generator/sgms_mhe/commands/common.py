@@ -35,15 +35,15 @@ LONGEST_LOOK_S: Final = 2.0
 # --- inputs ----------------------------------------------------------------------------------------------------------
 
 
-def recorded_log(path: Path, machine: Machine, *, commanded: bool = False) -> Log:
-    """Read a log that an axis of this machine can have left; `commanded`: without a force, but with a command.
+def recorded_log(path: Path, machine: Machine, *, commanded: bool = False, driven: bool = False) -> Log:
+    """Read a log that an axis of this machine can have left; `commanded`, `driven`: as `inputs.recorded_log` has them.
 
     Raises:
         InputError: it cannot be read, or its columns cannot be what they are called.
     """
     from sgms_mhe.api import inputs
 
-    return inputs.recorded_log(path, machine, commanded=commanded, note=note)
+    return inputs.recorded_log(path, machine, commanded=commanded, driven=driven, note=note)
 
 
 # --- outputs, checked before the work that they are to receive -------------------------------------------------------

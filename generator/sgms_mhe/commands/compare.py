@@ -32,7 +32,7 @@ def command(machine: Machine, log: Path, *, json: bool = False) -> bool:
     from sgms_mhe.evaluation.comparison import compare_signals
     from sgms_mhe.signals.chain import signals_from_log
 
-    recorded = common.recorded_log(log, machine)
+    recorded = common.recorded_log(log, machine, driven=True)
     check_length(len(recorded), recorded.source, machine)
     with common.progress_bar(f"compare {machine.name}") as progress:
         comparison = compare_signals(machine, signals_from_log(recorded, machine), progress=progress)

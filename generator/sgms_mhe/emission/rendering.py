@@ -76,6 +76,8 @@ def render(view: PackageView, *, model_alone: bool = False) -> dict[str, str]:
         files |= {f"{name}.c": "machine.c", f"{name}_compensation.h": "compensation.h"}
     if view.flow is not None:
         files[f"{name}_flow.h"] = "flow.h"
+    if view.machine.drive.kind != "force" and not model_alone:
+        files[f"{name}_drive.h"] = "drive.h"
     if view.tables:
         files[f"{name}_table.h"] = "table.h"
     if view.vectors is not None:

@@ -89,6 +89,7 @@ def check_has_force(log: Log) -> None:
     if log.is_commanded:
         push = log.units.named("force_N")
         allowed = f"{push}, which [log] (machine file, --log) maps; of a command alone predict and identify make use"
+        allowed += ", with a [drive] also estimate, compare and tune"
         raise _refusal(log, f"column {push}", None, allowed)
 
 

@@ -1,6 +1,8 @@
-"""Commands of a log, as a machine's drive takes them."""
+"""Commands of a log, as a machine's drive takes them, and the force that it makes of them."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,6 +11,9 @@ from sgms_mhe.signals.chain import hold_last
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
+
+STEEP = 10.0
+"""Slope of the least share at the goal, where a step would have the loop chatter."""
 
 
 def command_of(log: Log, machine: Machine) -> Array | None:
@@ -31,6 +36,40 @@ def command_of(log: Log, machine: Machine) -> Array | None:
             raise InputError(log.source or "log", "duty", None, "[drive] supply [V], of which a duty is a share")
         values = values * drive.supply
     return values
+
+
+def find_force(log: Log, machine: Machine) -> Log:
+    """Return a commanded log with the force that the machine's drive made, as its package's `drive_force()` finds it.
+
+    The back-EMF goes by the difference of positions, extrapolated by half a sample; commands are held, and late by
+    whole samples. What a drive that is off makes is 0. A log with a force is returned as it is.
+
+    Raises:
+        InputError: nothing says what the command does.
+    """
+    command, drive = command_of(log, machine), machine.drive
+    if command is None or not np.isnan(log.force_N).all():
+        return log
+    k, resistance = drive.torque_constant or 0.0, drive.resistance or 1.0
+    # At a sample the command that it sends has not acted yet.
+    late = np.maximum(np.arange(len(log)) - 1 - round(drive.delay * log.rate), 0)
+    position, acting = log.position_m, command[late]
+    if drive.kind == "position_loop":
+        if drive.speed_limit:
+            most, acting = drive.speed_limit / log.rate, acting.copy()
+            for i in range(1, len(acting)):
+                acting[i] = acting[i - 1] + np.clip(acting[i] - acting[i - 1], -most, most)
+        share = (drive.gain or 0.0) * (drive.gain_unit or 0.0) * (acting - position)
+        acting = (drive.supply or 0.0) * (share + np.clip(STEEP * share, -drive.start, drive.start))
+    most = np.inf if drive.clamp is None else drive.clamp * (drive.supply or 0.0)
+    known, velocity = np.flatnonzero(np.isfinite(position)), np.zeros(len(log))
+    steps = np.diff(known, prepend=known[:1])
+    mean = np.diff(position[known], prepend=position[known[:1]]) / np.maximum(steps, 1) * log.rate
+    velocity[known] = mean + np.where(steps == 1, 0.5 * np.diff(mean, prepend=0.0), 0.0)  # it is half a sample old
+    force = (np.clip(acting, -most, most) - k * velocity) * k / resistance
+    on = switched_on(log)
+    force = force if on is None else np.where(on > 0.5, force, 0.0)
+    return replace(log, force_N=np.where(np.isnan(position), np.nan, force))
 
 
 def switched_on(log: Log) -> Array | None:
