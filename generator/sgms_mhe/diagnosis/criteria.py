@@ -98,6 +98,10 @@ class ProgressReport:
         """Causes are judged on another record."""
         self.report(f"judging the causes on {name}", JUDGEMENT_BEGINS)
 
+    def report_motion(self) -> None:
+        """Numbers are fitted to the motion, which may take minutes."""
+        self.report("fitting numbers to the motion, by free runs", JUDGEMENT_BEGINS)
+
 
 def _within(begin: float, end: float, rounds: float) -> float:
     """Share of the work after so many rounds of a stage."""

@@ -61,6 +61,7 @@ def diagnose(
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     if objective != "force":
+        told.report_motion()
         found = refit_to_motion(found, (log, *others), objective)
     written = tuple(WrittenError.measure(machine, found.extended, one) for one in (log, *others))
     return replace(found, written=written, seconds=time.monotonic() - started)
