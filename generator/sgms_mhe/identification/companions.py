@@ -177,6 +177,15 @@ def fit_level_terms(rows: Recording, fit: AxisFit, sliding: Array | None = None)
     )
 
 
+def spread_level_terms(rows: Recording, fit: AxisFit, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return terms, those of the level with their columns of all trials along a fit: a gear of several meshes, say."""
+    trials, spread = fit_level_terms(rows, fit), []
+    for term in terms:
+        own = [trial.columns[:, : term.columns.shape[1]] for trial in trials if trial.name == term.name]
+        spread.append(replace(term, columns=np.column_stack(own or [term.columns])))
+    return tuple(spread)
+
+
 def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
     """Return the records whose elements carry what a fit's load adds to its level: they break away later by as much."""
     terms = [term for term in fit.terms if is_level(term) and term.positive]

@@ -17,6 +17,7 @@ from sgms_mhe.identification.companions import (
     fit_level_terms,
     is_possible,
     renew_columns,
+    spread_level_terms,
 )
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.fits import (
@@ -24,11 +25,13 @@ from sgms_mhe.identification.fits import (
     NumberEstimate,
     RecordView,
     Shape,
+    coordinates,
     covariance,
     encoder_forces,
     fit_axis,
     hold_shape,
     largest_noise_bias,
+    measure_wrong,
     noise_share,
     quantities,
 )
@@ -57,7 +60,6 @@ from sgms_mhe.identification.terms import (
 )
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import largest_force
-from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.decisions import log_decision
 
@@ -153,7 +155,7 @@ def make_final_fit(
     report("what stands beside the elements")
     fit, rivals = add_companions(views, found.quickest, base, companions, excited)
     views = Views(carry_load(views.coarse, fit), carry_load(views.fine, fit))
-    fit = _test_level_rise(views, _test_rise(views, fit))
+    fit = _test_level_rise(views, fit if fit.shape.rise is None else _search_rise(views, fit))
     fit = _test_curves(views, fit, [term for term in curves if term.name in excited])
     report("numbers at the full rate")
     views, fit = _fit_finely(views, fit, found.fit.shape.law)
@@ -198,10 +200,10 @@ def state_numbers(
         fit = _fit_without(view, fit, SAMPLING)
         cov = covariance(view, fit)
     wide = quantities(fit, cov)
-    mass = _mass(view.rows, wide["mass"])
-    dropped = _find_unseen(fit, cov, wide, view.rows.machine.plant.moved if wanted.mass else None)
-    if mass is None and wanted.mass:  # the one that was given is written, whatever the fit would have
-        dropped.add("mass")
+    mass = _mass(view, fit, wide["mass"])
+    dropped = _find_unseen(fit, cov)
+    if wanted.mass and (mass is None or not contradicts_mass(view.rows.machine.plant.moved, mass)):
+        dropped.add("mass")  # the one that was given is written, whatever the fit would have
     dropped = dropped & {"mass"} if is_plain else dropped
     log_decision(
         "numbers",
@@ -216,13 +218,12 @@ def state_numbers(
         cov = covariance(view, fit)
         if mass is None and wanted.mass and view.rows.inertia > 0.0:
             cov, beside = _widen_beside_mass(free, cov_free, fit, cov)
-    if not law_decided:
-        cov = cov + _law_covariance(view, fit)
+    cov = cov + _rival_covariance(view, fit, law_decided=law_decided)
     if noise_share(view, fit) > MASS_NOISE:
         mass = None
     numbers = add_spread(view, fit, quantities(fit, cov))
     if mass is not None and "mass" in numbers:
-        mass = replace(mass, spread=numbers["mass"].spread)
+        mass = replace(mass, std=max(mass.std, numbers["mass"].std), spread=numbers["mass"].spread)
     if "viscous" in dropped:  # held at 0 it would make the level look surer than it is
         numbers["coulomb"] = replace(numbers["coulomb"], std=wide["coulomb"].std)
     left, stated = measure_unseen(view, fit)
@@ -230,19 +231,28 @@ def state_numbers(
     return FinalIdentification(fit, cov, numbers, mass, left, stated, view, rivals, beside)
 
 
-def _law_covariance(view: RecordView, fit: AxisFit) -> Array:
-    """Return the square of what the other law makes of the numbers, where the records do not tell the laws apart."""
-    law: Law = "sgms" if fit.shape.law == "switching" else "switching"
-    other = fit_axis(view, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS)
-    change = _coordinates(other) - _coordinates(fit)
-    return np.outer(change, change)
+def _rival_covariance(view: RecordView, fit: AxisFit, *, law_decided: bool) -> Array:
+    """Return the squares of what other forms of the same friction make of the numbers, if they leave no more unseen.
 
-
-def _coordinates(fit: AxisFit) -> Array:
-    """Return the numbers of a fit in the order of its covariance (p)."""
-    rise = fit.shape.rise
-    bent = () if rise is None else (rise.ratio, math.log(rise.velocity))
-    return np.concatenate((np.log(fit.shape.distances), fit.levels, bent, fit.coefficients))
+    The other law, where the records do not tell the laws apart; a level that grows at all places at once. What a form
+    that leaves clearly less still leaves beyond noise may move numbers as far as what it explains: per force alike.
+    """
+    rivals, meshes = [], fit
+    if any(map(is_level, fit.terms)):
+        for _ in range(RENEWALS):
+            meshes = fit_axis(view, spread_level_terms(view.rows, meshes, fit.terms), fit.shape, iterations=0)
+        rivals.append(meshes)
+    if not law_decided:
+        law: Law = "sgms" if fit.shape.law == "switching" else "switching"
+        rivals.append(fit_axis(view, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS))
+    own = coordinates(fit, fit.terms)
+    total = np.zeros((len(own), len(own)))
+    for other in rivals:
+        if not is_better(fit, other):
+            gain = other.gain_over(fit) if is_better(other, fit) else math.inf
+            change = (coordinates(other, fit.terms) - own) * max(1.0, measure_wrong(view, fit) / gain)
+            total += np.outer(change, change)
+    return total
 
 
 def _fit_finely(views: Views, fit: AxisFit, law: Law) -> tuple[Views, AxisFit]:
@@ -327,13 +337,6 @@ def drop_idle_springs(views: Views, fit: AxisFit) -> AxisFit:
     return fit
 
 
-def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
-    """The fit without its rise where that leaves no more."""
-    if fit.shape.rise is None:
-        return fit
-    return _search_rise(views, fit)
-
-
 def _search_rise(views: Views, fit: AxisFit) -> AxisFit:
     """The fit at the best speed of its rise, or without one where that leaves no more: neither of elements nor load."""
     fit = search_rise_speed(views, fit)
@@ -385,7 +388,8 @@ def _test_curves(views: Views, fit: AxisFit, curves: Sequence[Term]) -> AxisFit:
     if look is without:
         return fit
     best = _search_rise(views, fit_aligned(views, look.terms, fit.shape))
-    gains = is_better(best, fit) and is_possible(machine, best) and _has_sure_level(views.fine, best)
+    level = quantities(best, covariance(views.fine, best))["coulomb"]  # if it is known, the curve does not stand for it
+    gains = is_better(best, fit) and is_possible(machine, best) and level.relative < UNSURE
     return best if gains else fit
 
 
@@ -394,11 +398,6 @@ def _leaves_steps_alone(view: RecordView, fit: AxisFit) -> bool:
     along = fit_axis(view, fit.terms, fit.shape, iterations=0)
     steps = largest_force(view.rows, encoder_forces(view, along))
     return steps is not None and along.cross_rms <= view.rows.rms(steps)
-
-
-def _has_sure_level(view: RecordView, fit: AxisFit) -> bool:
-    """Return True if a fit's elements keep a level that is known: a curve beside them does not stand for it."""
-    return quantities(fit, covariance(view, fit))["coulomb"].relative < UNSURE
 
 
 def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
@@ -418,10 +417,13 @@ def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
     return fit
 
 
-def _mass(rows: Recording, extra: NumberEstimate) -> NumberEstimate | None:
-    total = rows.machine.plant.moved + extra.value
-    mass = NumberEstimate(total, math.hypot(extra.std, MASS_SURE * total))
-    return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
+def _mass(view: RecordView, fit: AxisFit, extra: NumberEstimate) -> NumberEstimate | None:
+    """The mass, as sure as a fit and its rivals have it; None where the fit does not show it."""
+    total = view.rows.machine.plant.moved + extra.value
+    if total <= 0.0 or extra.std > MASS_SEEN * total:
+        return None
+    place, rival = fit.place("mass").start, _rival_covariance(view, fit, law_decided=True)
+    return NumberEstimate(total, math.hypot(extra.std, MASS_SURE * total, math.sqrt(rival[place, place])))
 
 
 def _fit_without(view: RecordView, fit: AxisFit, names: Collection[str], iterations: int = FINAL_ITERATIONS) -> AxisFit:
@@ -472,19 +474,15 @@ def late_force(fit: AxisFit, view: RecordView) -> float:
     return float(np.std(fit.jacobian[used, place.start]) * np.abs(fit.coefficient(LATE)[0]))
 
 
-def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, NumberEstimate], given_mass: float | None) -> set[str]:
-    """Terms whose numbers the records do not show, and the mass where the one given will do."""
-    viscous, mass = numbers["viscous"], numbers["mass"]
-    dropped = set() if viscous.value > SHOWN * viscous.std else {"viscous"}
+def _find_unseen(fit: AxisFit, cov: Array) -> set[str]:
+    """Damping, and effects, whose numbers the records do not show."""
+    unseen = set()
     for term in fit.terms:
         sizes, place = fit.coefficient(term.name), fit.place(term.name)
         unsure = np.all(np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place])))
-        if term.name not in LAW_AND_SAMPLING and (unsure or not is_within_limits(term, sizes)):
-            dropped.add(term.name)
-    total = None if given_mass is None else replace(mass, value=given_mass + mass.value)
-    if given_mass is not None and total is not None and not contradicts_mass(given_mass, total):
-        dropped.add("mass")
-    return dropped
+        if unsure or not is_within_limits(term, sizes):
+            unseen.add(term.name)
+    return unseen - (set(LAW_AND_SAMPLING) - {"viscous"})
 
 
 def contradicts_mass(given: float, shown: NumberEstimate) -> bool:

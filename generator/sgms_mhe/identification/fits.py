@@ -367,8 +367,7 @@ def covariance(view: RecordView, fit: AxisFit) -> Array:
     values, vectors = np.linalg.eigh(H)
     # Numbers that the records do not tell apart have a variance that says so, not none.
     inverse = np.asarray((vectors / np.maximum(values, UNTOLD * values.max())) @ vectors.T)
-    floor = noise_floor(rows, fit.residual)
-    wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
+    wrong = measure_wrong(view, fit)
     result = np.zeros((len(interior), len(interior)))
     inner = robust_covariance(rows, X, fit.residual, H, inverse, wrong)
     held = fit.place(HELD)
@@ -382,6 +381,20 @@ def covariance(view: RecordView, fit: AxisFit) -> Array:
             inner += np.outer(shift, shift) / len(forces)
     result[np.ix_(interior, interior)] = inner / np.outer(scale, scale)
     return result
+
+
+def coordinates(fit: AxisFit, terms: Sequence[Term]) -> Array:
+    """Return the numbers of a fit in the order of a covariance (p), a sum for each column of these terms."""
+    rise = fit.shape.rise
+    bent = () if rise is None else (rise.ratio, math.log(rise.velocity))
+    sizes = [fit.coefficient(term.name).reshape(-1, term.columns.shape[1]).sum(axis=0) for term in terms]
+    return np.concatenate((np.log(fit.shape.distances), fit.levels, bent, *sizes))
+
+
+def measure_wrong(view: RecordView, fit: AxisFit) -> float:
+    """Return the RMS of what a fit gets wrong [N]: beyond the noise floor, or a share of that, which may hide it."""
+    floor = noise_floor(view.rows, fit.residual)
+    return max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
 
 
 def _measure_excess(rows: Recording, fit: AxisFit) -> float:
