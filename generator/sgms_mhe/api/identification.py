@@ -11,6 +11,8 @@ from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, load, read_logs
 from sgms_mhe.configuration import override_log
 from sgms_mhe.identification import Identification, Wanted
 from sgms_mhe.identification import identify as identify_logs
+from sgms_mhe.identification.survey import Survey
+from sgms_mhe.identification.survey import survey as survey_logs
 from sgms_mhe.machine import Machine, Units
 from sgms_mhe.machine.writing import toml_log
 from sgms_mhe.recordings.output_error import check_objective
@@ -64,6 +66,32 @@ def identify(
     found = identify_logs(read, Wanted(name, moved, elements, model, objective), progress or LOGGER.info)
     own = toml_log(table, read[0].kind) if table and model is None else ""
     return read_only(replace(found, toml=found.toml + own))
+
+
+def survey(
+    logs: LogSource | Iterable[LogSource],
+    name: str = "axis",
+    *,
+    mass: float | None = None,
+    inertia: float | None = None,
+    table: Mapping[str, Any] | None = None,
+    note: Note | None = None,
+    progress: Step | None = None,
+) -> Survey:
+    """Take a first look at an axis by its logs, in seconds: least squares, where `identify` searches.
+
+    Args:
+        logs, name, mass, inertia, table, note, progress: as of `identify`.
+
+    Returns:
+        Statements on sign, mass, friction, constant force and noise, and on what is open.
+
+    Raises:
+        InputError: as `identify`; a log that is of no such axis.
+    """
+    read = read_logs(logs, table=table, note=note)
+    moved = _moved_mass(read[0].units, mass, inertia)
+    return survey_logs(read, Wanted(name, moved), progress or LOGGER.info)
 
 
 def _moved_mass(units: Units, mass: float | None, inertia: float | None) -> float | None:

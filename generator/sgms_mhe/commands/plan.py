@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 @make_command(
     "plan etel_xy --out plan.csv",
     "plan etel_xy --separate constant_offset asymmetric_coulomb",
+    "plan my_axis.toml --open my_axis_start.json",
     of="experiments.plan",
 )
 def command(machine: Machine, *, out: Path | None = None, **options: Any) -> None:
-    """Find the motion that distinguishes two causes on MACHINE.
+    """Find the motion that distinguishes two causes on MACHINE, or shows what a result left open.
 
     Writes it as a reference trajectory, which `simulate --trajectory` takes.
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -124,8 +126,33 @@ _MAKERS: Final[Mapping[Move, Callable[[Motion, _Axis], None]]] = {
 }
 
 
-def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> MotionPlan:
-    """A trajectory for a machine: everything, or what two causes need and what tells them apart.
+def list_open_causes(path: Path) -> tuple[str, ...]:
+    """Return the causes that the statements in a JSON file leave open, and that a motion would show.
+
+    Raises:
+        InputError: the file; it leaves nothing open that a motion shows.
+    """
+    try:
+        statements = json.loads(path.read_text(encoding="utf-8"))["statements"]
+        opened = [s for s in statements if s["sure"] != "yes" and s["next"]]
+        words = [f"{s['about']} {s['why']['numbers'].get('other', '')} {s['kind']}" for s in opened]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        allowed = f"a JSON of start, identify or diagnose ({error.strerror if isinstance(error, OSError) else 'it is none'})"
+        raise InputError(path, "--open", None, allowed) from None
+    names = re.findall(r"[a-z_]+", " ".join(words))
+    found = tuple(dict.fromkeys(_SHOWN_BY.get(name, name) for name in names))
+    causes = tuple(name for name in found if name in cause_names())
+    if not causes:
+        raise InputError(path, "--open", None, "a result that leaves something open which a motion would show")
+    return causes
+
+
+_SHOWN_BY: Final = {"element": "stiffness", "law": "stiffness", "mass": "mass_mismatch", "inertia": "mass_mismatch"}
+"""Causes by other subjects of statements: what shows the one shows the other."""
+
+
+def make_plan(machine: Machine, separate: tuple[str, str] | None = None, wanted: Sequence[str] = ()) -> MotionPlan:
+    """A trajectory for a machine: everything, or what two causes need and what tells them apart, or wanted ones need.
 
     Raises:
         InputError: a cause that does not exist.
@@ -136,8 +163,8 @@ def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Moti
             raise InputError("plan", "separate", name, allowed)
     speed = 0.9 * machine.sampling.max_velocity
     deflection = scales_of(machine).deflection
-    wanted = set(MOVES) if separate is None else {move for name in separate for move in cause(name).moves}
-    moves = [move for move in MOVES if move in wanted]
+    shown = {move for name in separate or wanted for move in cause(name).moves}
+    moves = [move for move in MOVES if move in shown or not shown]
     path = Motion(machine.sampling.rate)
     path.wait(0.3)
     for share in LAPS:
@@ -151,6 +178,8 @@ def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Moti
         if path.duration_s >= LEAST_S:
             break
     reason = "excites every effect of the catalogue"
+    if wanted:
+        reason = f"shows {', '.join(wanted)}: {', '.join(MOVES[move] for move in moves)}"
     if separate is not None:
         said = separating_moves(*separate)[:1] or dict.fromkeys(cause(name).excitation.text for name in separate)
         reason = f"{' or '.join(separate)}: {'; '.join(said)}"

@@ -163,7 +163,7 @@ def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) ->
             if (value := getattr(wanted, option)) not in (None, "force", "motion"):
                 raise InputError("identify", option, value, "none: no log has a force to fit it to")
         return identify_drive(logs, wanted.name, wanted.like, report)
-    return _describe(explore(logs, wanted, report), sort_logs(logs), wanted, report)
+    return describe(explore(logs, wanted, report), sort_logs(logs), wanted, report)
 
 
 def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Explored:
@@ -171,7 +171,7 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     if wanted.elements is not None and not 1 <= wanted.elements <= MOST_ELEMENTS:
         raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
     known = Known(wanted.mass is not None or logs[0].is_friction_alone, wanted.elements is not None)
-    records = _records(sort_logs(logs), wanted)
+    records = prepare_records(sort_logs(logs), wanted)
     try:
         begun = begin(records, wanted.per_decade, report)
         try:
@@ -203,7 +203,7 @@ def _choose(begun: Begun, explored: Explored, known: Known) -> Explored:
     none = not apart and is_less and final.held_out_rms > AS_MUCH * left
     if not plain[0].coulomb > 0.0 or not (none or beside < (1.0 - MATERIAL) * final.held_out_rms):
         return explored
-    found = _state_plain(begun, *(timed if apart else plain), known)
+    found = state_plain(begun, *(timed if apart else plain), known)
     own = found.final.stated_rms
     if own >= final.stated_rms:
         return explored
@@ -228,17 +228,17 @@ def _explain(refusal: FrictionError, begun: Begun, known: Known) -> Explored:
     if not fit.coulomb > 0.0:
         left = f"{fit.rms:.2g} {units.force} rms that nothing here explains"
         raise InputError(begun.records.names[0], "residual", left, "a log with less of it: it hides dry friction")
-    found = _state_plain(begun, fit, rivals, known)
+    found = state_plain(begun, fit, rivals, known)
     own = found.final.stated_rms
     said = Statement(Rule.PLAIN_ALONE, "file", own, unit=units.force)
     return replace(found, plain_rms=own, said=(said,), unseen=refusal.unseen)
 
 
-def _state_plain(begun: Begun, fit: AxisFit, rivals: Mapping[str, tuple[str, ...]], known: Known) -> Explored:
+def state_plain(begun: Begun, fit: AxisFit, rivals: Mapping[str, tuple[str, ...]], known: Known) -> Explored:
     """Return what least squares says."""
     final = state_numbers(begun.views.fine, fit, rivals, known, is_plain=True)
     found = ChosenModel(final.fit, final.fit, decided=False, counts={len(fit.levels): fit.cross_rms})
-    return Explored(begun.records, begun.views, found, final, _measure(begun.records, found), is_plain=True)
+    return Explored(begun.records, begun.views, found, final, measure_motion(begun.records, found), is_plain=True)
 
 
 def explore_recording(recording: Recording, report: Progress = _silent) -> Explored:
@@ -270,9 +270,9 @@ def _explore_records(begun: Begun, elements: int | None, known: Known, report: P
     found = search(views, (*base, *companions, *level), spectrum, elements, report)
     if not found.fit.coulomb > 0.0:
         raise frictionless_error(name_all(records.names))
-    measured = _measure(records, found)
+    measured = measure_motion(records, found)
     names = dict.fromkeys((*companion_names(rows), *(term.name for term in curves)))
-    excited = [name for name in names if _is_excited(effect_definition(name), measured)]
+    excited = [name for name in names if is_excited(effect_definition(name), measured)]
     final = make_final_fit(views, found, base, companions, curves, excited, known, report)
     check_slides(views.fine, final, excited, name_all(records.names))
     log_decision(
@@ -287,7 +287,7 @@ def _explore_records(begun: Begun, elements: int | None, known: Known, report: P
     return Explored(records, views, found, final, measured)
 
 
-def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
+def prepare_records(logs: Sequence[Log], wanted: Wanted) -> Records:
     """The logs behind the chain, those refused that hold no motion."""
     common_rate(logs)
     for log in logs:
@@ -362,7 +362,7 @@ def _check_dissipates(records: Records) -> None:
         )
 
 
-def _measure(records: Records, found: ChosenModel) -> Mapping[Measure, float]:
+def measure_motion(records: Records, found: ChosenModel) -> Mapping[Measure, float]:
     """Return the excitation of the motion, on the scale of the friction found."""
     fit = found.fit
     content = {
@@ -375,7 +375,7 @@ def _measure(records: Records, found: ChosenModel) -> Mapping[Measure, float]:
     return measure_excitation(records.rows.signals, machine)
 
 
-def _is_excited(definition: CauseDefinition, measured: Mapping[Measure, float]) -> bool:
+def is_excited(definition: CauseDefinition, measured: Mapping[Measure, float]) -> bool:
     """Return True if a motion can show an effect, as far as that does not depend on its size."""
     return not any(need.times is None for need in definition.excitation.unmet(measured, {}))
 
@@ -385,22 +385,22 @@ def _fractions(levels: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> lis
     return [float(share) for share in shares / shares.sum()]
 
 
-def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: Progress) -> Identification:
-    """The numbers, the file and what is to be said of both."""
+def state_explored(
+    explored: Explored, logs: Sequence[Log], wanted: Wanted
+) -> tuple[tuple[Number, ...], list[Statement], float]:
+    """Return the numbers of a file, the other statements on the records, and the noise of a row [N].
+
+    A mass that nobody gave and no motion shows is NaN.
+    """
     records, views, found, final = explored.records, explored.views, explored.found, explored.final
     fit, given, units = final.fit, wanted.mass, records.machine.plant.units
     seen = final.mass
     choice: tuple[Statement, ...] = ()
     if logs[0].is_friction_alone:
         mass = unknown_mass(given, NO_MASS, units)
+    elif given is None and seen is None:
+        mass = Number("mass", math.nan, math.nan, Rule.UNSEEN, next=f"{MOVES['jerks']}, or --{units.inert}")
     else:
-        if given is None and seen is None:
-            raise InputError(
-                name_all(records.names),
-                units.inert,
-                None,
-                f"--{units.inert}: the motion does not show it; or a log with {MOVES['jerks']}, which do",
-            )
         # A payload beside the mass that was given does not contradict it.
         stays = seen is None or "mass" not in final.numbers or views.fine.rows.has_payload
         adopted = given if given is not None and stays else seen
@@ -418,6 +418,27 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         *list_limits(numbers, found, final, views.fine, units, unexcited),
         *list_misfit(final.held_out_rms, floor, units),
     ]
+    return numbers, others, floor
+
+
+def describe(
+    explored: Explored, logs: Sequence[Log], wanted: Wanted, report: Progress, verb: str = "identify"
+) -> Identification:
+    """Return the numbers, the file and the statements on both.
+
+    Raises:
+        InputError: a mass that nobody gave, and that the motion does not show.
+    """
+    records, views, found, final = explored.records, explored.views, explored.found, explored.final
+    fit, units = final.fit, records.machine.plant.units
+    numbers, others, floor = state_explored(explored, logs, wanted)
+    if not math.isfinite(numbers[0].value):
+        raise InputError(
+            name_all(records.names),
+            units.inert,
+            None,
+            f"--{units.inert}: the motion does not show it; or a log with {MOVES['jerks']}, which do",
+        )
     law = fit.shape.law
     path = Path(f"{wanted.name}.toml")
     report("weights")
@@ -447,7 +468,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         content["estimator"]["disturbance"] = wanted.like.content["estimator"]["disturbance"]
     to_force = "" if refit is None else f" to the {units.push}"
     head = [
-        f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
+        f"Written by sgms-mhe {verb} over {', '.join(Path(name).name for name in sorted(records.names))}.",
         "Intervals are two standard deviations.",
         f"On blocks that the fit{to_force} had not seen: {others[-1].sentence}.",
         *(s.advice for s in list_open([*(number.state(units) for number in numbers), *others])),

@@ -13,23 +13,32 @@ from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis
 from sgms_mhe.identification.search import is_better
 from sgms_mhe.identification.terms import SAMPLING, Term, companion_terms
 from sgms_mhe.model.effects import effect_definition, separating_moves
+from sgms_mhe.support.arrays import Array
 
 RANK: Final = 1e-6
 """Of the largest singular value of scaled columns: with a smaller one they say the same."""
 
 
-def fit_plain(view: RecordView, base: Sequence[Term]) -> tuple[AxisFit, Mapping[str, tuple[str, ...]]]:
-    """Fit the level, base terms and the forces that act whatever the direction, as many as leave least on unseen rows.
+def fit_plain(
+    view: RecordView, base: Sequence[Term], distances: Array | None = None
+) -> tuple[AxisFit, Mapping[str, tuple[str, ...]]]:
+    """Fit the level, base terms and the fewest forces whatever the direction than which others leave no less.
+
+    Args:
+        view: records at the full rate.
+        base: terms beside the level and those forces.
+        distances: of the elements that share the level [m]; None: one element, which breaks away within a count.
 
     Returns:
-        The fit, its level that of one element which breaks away within a count; and by the names of its effects
-        those that explain the rows as well in their place.
+        The fit, and by the names of its effects those that explain the rows as well in their place.
     """
-    shape = Shape("switching", np.array([view.limits[0]]), None)
+    shape = Shape("switching", np.array([view.limits[0]]) if distances is None else distances, None)
     forces = [term for term in companion_terms(view.rows) if effect_definition(term.name).loads]
     sets = chain.from_iterable(combinations(forces, count) for count in range(len(forces) + 1))
     fits = [fit_axis(view, (*base, *some), shape, iterations=0) for some in sets if _are_independent(view, some)]
-    fit = min(fits, key=lambda one: one.cross_rms)
+    best = min(fits, key=lambda one: one.cross_rms)
+    enough = [one for one in fits if not is_better(best, one)]
+    fit = min(enough, key=lambda one: (len(one.coefficients), one.cross_rms))
     own = _effects(fit, base)
     alike = [
         _effects(other, base)

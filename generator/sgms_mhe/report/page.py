@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,14 +13,16 @@ from markupsafe import Markup
 
 from sgms_mhe.diagnosis import Diagnosis, write_extended
 from sgms_mhe.evaluation.plots import save_figure
+from sgms_mhe.identification.survey import Survey
 from sgms_mhe.machine import Machine
 from sgms_mhe.report import content, figures
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.fleet import FleetCourse, FleetLog, fleet_content
 from sgms_mhe.report.learned import learned_plots
-from sgms_mhe.report.plots import log_plots, plots
+from sgms_mhe.report.plots import log_plots, plots, survey_plots
 from sgms_mhe.report.rivals import rivals_in_place
 from sgms_mhe.report.series import views
+from sgms_mhe.report.survey import survey_content, unread_content
 from sgms_mhe.report.units import use_units
 from sgms_mhe.report.watch import Watched, watch_content, watch_plots
 from sgms_mhe.signals.logs import Log
@@ -136,6 +138,28 @@ def write_watch_page(path: Path, watched: Watched) -> None:
     """Write the page over a run; atomically, so that it is whole whenever it is read."""
     with use_units(watched.course.machine.plant.units):
         _write_page(path, "watch.html.jinja", watch_content(watched), watch_plots(watched.course))
+
+
+def write_survey_page(path: Path, found: Survey, columns: Mapping[str, Any], command: str) -> None:
+    """Write the page of a first look.
+
+    Args:
+        path: of the page.
+        found: the look.
+        columns: of the log, as `inspect` has them.
+        command: that plans the next motion.
+    """
+    with use_units(found.units):
+        _write_page(path, "survey.html.jinja", survey_content(found, columns, command), survey_plots(found))
+
+
+def write_unread_page(path: Path, reason: str, columns: Mapping[str, Any], log: Log | None) -> None:
+    """Write the page of a log that tells nothing; `log`: as it was read, None: it was not."""
+    content, drawn = unread_content(reason, columns, has_log=log is not None), {}
+    if log is not None:
+        with use_units(log.units):
+            drawn = log_plots(log)
+    _write_page(path, "survey.html.jinja", content, drawn)
 
 
 def _write_page(path: Path, template: str, page: dict[str, Any], drawn: dict[str, Any], *, style: str = "") -> Path:

@@ -9,9 +9,10 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from sgms_mhe.diagnosis import Diagnosis, Traces
+from sgms_mhe.identification.survey import Survey
 from sgms_mhe.recordings.series import find_runs
 from sgms_mhe.report.rivals import InPlace
-from sgms_mhe.report.series import View, numbers, pack
+from sgms_mhe.report.series import View, bin_view, numbers, pack
 from sgms_mhe.report.units import axis_units
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array
@@ -69,6 +70,21 @@ def log_plots(log: Log) -> dict[str, Any]:
         "series": [line(units.push, log.force_N[::every], "measured")],
     }
     return {"log_force": common | force, "log_position": common | _position(log.position_m[::every])}
+
+
+def survey_plots(found: Survey) -> dict[str, Any]:
+    """Return the data of the plots of a first look: the force less inertia over time and over speed, and its fit."""
+    rows, names = found.explored.final.view.rows, ("measured", "friction, damping, constant force")
+    fitted = rows.friction - found.explored.final.fit.residual
+    series = [np.where(rows.used, values, np.nan) for values in (rows.friction, fitted)]
+    over_time = [line(names[0], series[0], "measured"), line("not explained", series[0] - series[1], "before")]
+    label, seen = {"yLabel": axis_units().balance}, rows.used
+    speed = bin_view("velocity", "velocity", axis_units().velocity, rows.velocity[seen], *(s[seen] for s in series))
+    pair = _Pair(("measured", names[0]), ("after", names[1]))
+    return {
+        "over_time": uniform(float(rows.time[0]), 1.0 / rows.rate) | label | {"series": over_time},
+        "over_speed": _view(speed, pair) | label,
+    }
 
 
 def _rival(rival: InPlace, t: Traces, common: Mapping[str, Any]) -> dict[str, Any]:

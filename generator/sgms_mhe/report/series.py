@@ -74,12 +74,15 @@ def views(traces: Traces) -> list[View]:
         good = used & np.isfinite(x)
         if logarithmic:
             good &= x > 0.0
-        shown.append(_bin(key, title, unit, logarithmic, x[good], before[good], after[good]))
+        shown.append(bin_view(key, title, unit, x[good], before[good], after[good], logarithmic=logarithmic))
     shown.append(_spectrum(traces))
     return shown
 
 
-def _bin(key: str, title: str, unit: str, logarithmic: bool, x: Array, before: Array, after: Array) -> View:
+def bin_view(
+    key: str, title: str, unit: str, x: Array, before: Array, after: Array, *, logarithmic: bool = False
+) -> View:
+    """Return two series over a coordinate: a cloud of their samples, and means in bins."""
     factor, unit = _scale_unit(unit, x)
     x = x * factor
     empty = np.empty(0)

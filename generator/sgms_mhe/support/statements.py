@@ -96,7 +96,11 @@ class Rule(Enum):
     MASS_UNSEEN = "number", "no", "as given; the motion does not show it"
     MASS_GIVEN = "number", "no", "as given; friction alone was recorded"
     MASS_FREE = "number", "no", "friction alone was recorded: a stand-in, on which no other number depends"
+    NO_FORCE = "number", "yes", "none that the motion shows"
     # the rest of an identification
+    SIGN = "sign", "yes", "the sign of the {about} is right: {seen}"
+    SIGN_OPEN = "sign", "open", "the sign of the {about} does not show"
+    NOISE = "noise", "yes", "noise of the {about}: {value:.2g} {unit} at {rate:g} Hz; the position counts {step:.2g} {length}"
     SCALE = "choice", "open", "{about}: {given:g} {unit} was given, {motion} seen; or {push} is {ratio:.4g} times real"
     LAW = "law", "open", "{about}: switching or smooth is open ({other:.3g}, {value:.3g} {unit} left); sgms is taken"
     LAW_TOLD = "law", "yes", "{about}: {law}"

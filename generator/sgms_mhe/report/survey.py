@@ -1,0 +1,110 @@
+"""The page of a first look at an axis: a decision without reading, or the reason why there is none."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from sgms_mhe import __version__
+from sgms_mhe.identification.survey import OFFSET, Survey
+from sgms_mhe.report.pieces import Row, tile
+from sgms_mhe.report.units import SPACE, plain, reading, stated
+from sgms_mhe.report.words import SIGNS, capital, join_words, sentence
+from sgms_mhe.support.statements import Rule, Statement, list_open
+
+MAIN: Final = {"mass": "mass", "inertia": "inertia", "coulomb": "friction", "viscous": "damping"}
+"""Numbers that decide, in words."""
+
+
+def survey_content(found: Survey, columns: Mapping[str, Any], command: str) -> dict[str, Any]:
+    """Return the text of the page; `columns`: of the log as it was read; `command`: plans the next motion."""
+    units, questions = found.units, list_open(found.statements)
+    unsure = [MAIN[s.about] for s in found.statements if s.about in MAIN and s.sure != "yes"]
+    style = "undecided" if unsure else "limited" if questions else "certain"
+    name = f"open: {join_words(unsure)}" if unsure else "determined, with limits" if questions else "determined"
+    choices = [{"choice": sentence(s.sentence), **_split_move(s.next or "")} for s in questions]
+    if any(choice["move"] for choice in choices):
+        choices.append({"choice": "The next motion as a trajectory:", "move": "", "command": command})
+    warnings = found.explored.records.warnings
+    limits = {"title": "Open, and what to record next", "choices": choices, "others": warnings}
+    return _page(columns, style, name) | {
+        "headline": _headline(found.statements),
+        "limits": limits if choices or warnings else None,
+        "tiles": _tiles(found),
+        "time_plots": [{"key": "over_time", "size": "", "aria": f"{capital(units.balance)} over time, and its fit"}],
+        "speed_title": f"{capital(units.push)} less inertia over speed",
+    }
+
+
+def unread_content(reason: str, columns: Mapping[str, Any], *, has_log: bool) -> dict[str, Any]:
+    """Return the text of the page of a log that tells nothing; `has_log`: its columns are drawn."""
+    plots = [
+        {"key": "log_force", "size": "", "aria": "Force, or torque, over time, as read from the log"},
+        {"key": "log_position", "size": "low", "aria": "Position over time, as read from the log"},
+    ]
+    return _page(columns, "failed", "no numbers") | {
+        "headline": "This log gives no numbers.",
+        "limits": {"title": "The reason, and the remedy", "choices": [], "others": [reason]},
+        "tiles": [],
+        "time_plots": plots if has_log else [],
+        "speed_title": "",
+    }
+
+
+def _page(columns: Mapping[str, Any], style: str, name: str) -> dict[str, Any]:
+    """Return the common part of both pages."""
+    cells = [
+        {"name": c["name"] or "", "from": c["from"], "unit": c["unit"] or "not stated", "why": c.get("because") or ""}
+        | {key: "–" if c[key] is None else plain(c[key]) for key in ("min", "max")}
+        for c in columns["columns"]
+    ]
+    return {
+        "machine": "first look",
+        "description": "",
+        "source": columns["file"],
+        "badge": {"style": style, "sign": SIGNS[style], "name": name},
+        "columns": cells,
+        "notes": columns["notes"],
+        "about": [
+            ("Numbers", "least squares along the measured motion, intervals of two standard deviations"),
+            ("Computed by", f"sgms-mhe {__version__} start; identify searches for the law of friction, too"),
+        ],
+    }
+
+
+def _split_move(move: str) -> dict[str, str]:
+    """Return what would decide a question as a motion to record, or as a command."""
+    if move.startswith("sgms-mhe"):
+        return {"move": "", "command": move}
+    return {"move": move and f"Record {re.sub(r' .sgms-mhe plan[^)]*.', '', move)}.", "command": ""}
+
+
+def _headline(statements: Sequence[Statement]) -> str:
+    """Return the decision in a sentence."""
+    known = [f"{MAIN[s.about]} {stated(s)}" for s in statements if s.about in MAIN and s.sure == "yes"]
+    open_ = [MAIN[s.about] for s in statements if s.about in MAIN and s.sure != "yes"]
+    return capital("; ".join([*known, *([f"{join_words(open_)} not determined"] if open_ else [])])) + "."
+
+
+def _tiles(found: Survey) -> list[Row]:
+    """Return sign, mass, constant force, friction, damping and noise; a dash where one is not determined."""
+    units, tiles = found.units, {}
+    for s in found.statements:
+        shown, text = stated(s), s.text
+        if s.kind == "number" and s.sure == "yes":
+            text = "; ".join(filter(None, (shown.spread and f"± {shown.spread} {shown.unit}", text)))
+        value = f"{shown.value}{SPACE}{shown.unit}" if s.sure == "yes" else "–"
+        kind = "" if s.sure == "yes" else "before"
+        if s.kind == "sign":
+            tiles[0] = tile(f"Sign of the {units.push}", "right" if s.sure == "yes" else "open", s.next or "", kind)
+        elif s.about in MAIN:
+            place = 1 if s.about == units.inert else 3 if s.about == "coulomb" else 4
+            tiles[place] = tile(capital(MAIN[s.about]), value, text, kind)
+        elif s.kind == "number" and s.about.startswith(OFFSET):
+            value = "none" if s.rule is Rule.NO_FORCE else value
+            tiles[2] = tile(f"Constant {units.push}, gravity", value, text, kind)
+        elif s.rule is Rule.NOISE:
+            step = reading(float(s.numbers["step"]), units.position)
+            tiles[5] = tile(f"Noise of the {units.push}", value, f"the position counts {step}")
+    return [tiles[place] for place in sorted(tiles)]
