@@ -257,7 +257,7 @@ def test_a_friction_alone_stands_for_the_force(tmp_path: Path) -> None:
     assert len(notes) == 1 and "friction_Nm stands for it" in notes[0]
     check_plausible(found, None)
     assert "torque_Nm" in refused(
-        "start", write(tmp_path / "no.csv", **own(log, "time_s", "position_rad")), "--out", "x.toml"
+        "start", write(tmp_path / "no.csv", **own(log, "time_s", "position_rad")), "--out", tmp_path / "x.toml"
     )
 
 

@@ -6,8 +6,6 @@ import base64
 import json
 import math
 import re
-import struct
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -39,18 +37,6 @@ CASES: dict[str, Callable[[Machine], Diagnosis]] = {
     "motionless": cases.motionless,
 }
 VOID = {"meta", "br", "img", "link", "input", "hr"}
-
-
-@pytest.fixture
-def pictures() -> None:
-    """For tests that look at the pictures: they take most of a report's time."""
-
-
-@pytest.fixture(autouse=True)
-def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Empty files in place of pictures, for all other tests."""
-    if "pictures" not in request.fixturenames:
-        monkeypatch.setattr("sgms_mhe.report.page.save_figure", lambda path, figure: path.write_bytes(b""))
 
 
 class Page(HTMLParser):
@@ -116,30 +102,6 @@ def test_report_is_one_valid_page_without_a_network(name: str, machine: Machine,
     assert "nan" not in page.words.lower().split()
 
 
-@pytest.mark.usefixtures("pictures")
-@pytest.mark.parametrize("name", CASES)
-def test_pictures_lie_beside_the_report(name: str, machine: Machine, tmp_path: Path) -> None:
-    write_report(CASES[name](machine), tmp_path)
-    pictures = sorted(tmp_path.glob("*.png"))
-    assert [p.name for p in pictures] == ["candidates.png", "gain.png", "measured.png", "residual.png"]
-    for picture in pictures:
-        content = picture.read_bytes()
-        assert content.startswith(b"\x89PNG")
-        width, height = struct.unpack(">II", content[16:24])
-        assert min(width, height) > 250
-    assert not list(tmp_path.glob(".*")), "a temporary file is left"
-
-
-def test_report_without_matplotlib_has_no_pictures(
-    machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    page = read(write_report(cases.explained(machine), tmp_path))
-    assert "pictures: none, since matplotlib is not installed" in page.words
-    assert page.canvases and not list(tmp_path.glob("*.png"))
-
-
-@pytest.mark.usefixtures("pictures")
 def test_same_diagnosis_gives_the_same_bytes(machine: Machine, tmp_path: Path) -> None:
     first, second = (write_report(cases.explained(machine), tmp_path / k).parent for k in "ab")
     for path in first.iterdir():
@@ -295,15 +257,14 @@ def test_every_cause_with_limits_and_rivals_has_a_report(axis: str, tmp_path: Pa
         assert f"{capital(base_words(column))}: the record does not show it." in words
 
 
-@pytest.mark.parametrize("name", ["residual.png", "plots", "views"])
+@pytest.mark.parametrize("name", ["plots", "views"])
 def test_a_report_that_fails_costs_no_verdict(
     name: str, machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(*_: Any) -> None:
         raise ZeroDivisionError("of a plot")
 
-    failing = {"residual.png": "figures.residual_figure"}.get(name, name)
-    monkeypatch.setattr(f"sgms_mhe.report.page.{failing}", fail)
+    monkeypatch.setattr(f"sgms_mhe.report.page.{name}", fail)
     monkeypatch.setattr("sgms_mhe.diagnosis.diagnose", lambda *_, **__: cases.explained(machine))
     time = np.arange(2000) / 1e3
     log = tmp_path / "log.csv"

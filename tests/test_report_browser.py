@@ -25,8 +25,8 @@ from sgms_mhe.report import (
     NumberTrend,
     Watched,
     write_fleet_report,
-    write_refusal_report,
     write_report,
+    write_unread_page,
     write_watch_page,
 )
 from sgms_mhe.signals.estimates import Estimates
@@ -42,7 +42,7 @@ BADGES = {
     "explained": ("limited", "explained, with limits"),
     "ambiguous": ("undecided", "ambiguous"),
     "unexplained": ("failed", "unexplained"),
-    "refused": ("failed", "unexplained"),
+    "refused": ("failed", "no numbers"),
     "motionless": ("nothing", "not excited"),
     "rotary": ("undecided", "ambiguous"),
 }
@@ -64,11 +64,9 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     diagnoses = {name: getattr(cases, name)(machine) for name in BADGES if hasattr(cases, name)}
     diagnoses["rotary"] = cases.ambiguous(rotary)
     diagnoses |= {f"certain {name}": cases.certain(diagnoses[name]) for name in ("explained", "adequate")}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sgms_mhe.report.page.save_figure", lambda path, figure: path.write_bytes(b""))
-        written = {name: write_report(diagnosis, folder / name) for name, diagnosis in diagnoses.items()}
+    written = {name: write_report(diagnosis, folder / name) for name, diagnosis in diagnoses.items()}
     sentence = f"axis.csv: column force_N = '-20 N per m/s^2': {'of the other sign ' * 12}[log] has scale = -1.0"
-    written["refused"] = write_refusal_report(sentence, machine, negated_log(), folder / "refused")
+    written["refused"] = write_unread_page(folder / "r" / "report.html", sentence, negated_log(), {"file": "axis.csv"})
     assert set(written) == set(BADGES)
     return written
 

@@ -1,16 +1,23 @@
-"""`sgms-mhe start`: a machine file to begin with, which every other command takes."""
+"""`sgms-mhe start`: a machine file to begin with, which every other command takes; a first look at a log."""
 
 from __future__ import annotations
 
+import html
 import json
+import math
 import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, Final
 
 import jsonschema
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from cli_cases import done
 from record_cases import simulate_log
+from sgms_mhe.api.identification import survey
 from sgms_mhe.api.starting import start_text
 from sgms_mhe.cli import cli
 from sgms_mhe.configuration import load_machine
@@ -101,8 +108,97 @@ def test_what_is_missing_or_cannot_be_is_named(words: list[str], named: str, tmp
     assert not path.exists()
 
 
+TIME: Final = np.arange(12000) / 500.0
+
+
+def moved(mass: float = 12.0, level: float = 4.0, constant: float = 0.0, noise: float = 0.05) -> dict[str, Any]:
+    """Columns of an axis whose friction breaks away over 20 um; with slow and fast motion in both directions."""
+    position = 0.1 * np.sin(1.3 * TIME) * np.sin(0.21 * TIME) + 0.01 * np.sin(7.0 * TIME) + 0.003 * np.sin(23.0 * TIME)
+    speed = np.gradient(position, TIME)
+    deflection, friction = 0.0, np.empty(len(TIME))
+    for k, step in enumerate(np.diff(position, prepend=position[0])):
+        deflection = min(20e-6, max(-20e-6, deflection + step))
+        friction[k] = level * deflection / 20e-6
+    white = noise * np.random.default_rng(1).standard_normal(len(TIME))
+    force = mass * np.gradient(speed, TIME) + friction + 20.0 * speed + constant + white
+    return {"time_s": TIME, "position_m": np.round(position / 1e-7) * 1e-7, "force_N": force}
+
+
+def written(path: Path, columns: Mapping[str, Any]) -> str:
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(columns), comments="")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("made", "constant"), [({}, None), ({"constant": 30.0}, 30.0), ({"mass": 3.0, "level": 9.0}, None)]
+)
+def test_a_look_states_what_the_axis_has(made: dict[str, float], constant: float | None, tmp_path: Path) -> None:
+    log, out = written(tmp_path / "log.csv", moved(**made)), tmp_path / "axis.toml"
+    found = json.loads(done("start", log, "--out", out, "--json").stdout)
+    stated = {s["about"]: s for s in found["statements"] if s["kind"] == "number"}
+    truth = {"mass": made.get("mass", 12.0), "coulomb": made.get("level", 4.0), "viscous": 20.0}
+    truth["constant_offset.force_N"] = constant or 0.0
+    for name, value in truth.items():
+        low, high = stated[name]["interval"]
+        assert abs(stated[name]["value"] - value) <= high - low, name  # four deviations
+        assert stated[name]["sure"] == "yes" and high - low < max(0.05 * value, 0.1)
+    assert (stated["constant_offset.force_N"]["why"]["rule"] == "no force") == (constant is None)
+    kinds = {s["kind"]: s for s in found["statements"] if s["kind"] in ("sign", "noise")}
+    assert kinds["sign"]["sure"] == "yes" and 0.01 < kinds["noise"]["value"] < 0.06
+    assert json.loads((tmp_path / "axis_start.json").read_text()) == found
+    page = (tmp_path / "axis_start.html").read_text()
+    assert 'data-plot="over_speed"' in page and "Mass " in page and f"plan {out} --open" in page
+    assert load_machine(str(out)).plant.moved == pytest.approx(truth["mass"], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason", "drawn"),
+    [
+        (lambda c: {**c, "force_N": -c["force_N"]}, "of the other sign", True),
+        (lambda c: {**c, "position_m": 1e-7 * (np.arange(len(TIME)) % 2)}, "in which the axis moves", True),
+        (lambda c: {**c, "position_m": 1e-7 * np.round(np.sin(TIME))}, "what are its columns", True),
+        (
+            lambda c: dict(zip(("time_s", "pos", "force_N"), c.values(), strict=True)),
+            "pos is there without a unit",
+            False,
+        ),
+        (lambda _: moved(level=0.0), "a log that shows dry friction", True),
+        (
+            lambda c: {**c, "force_N": np.random.default_rng(2).normal(0.0, 5.0, len(TIME))},
+            "what are its columns",
+            True,
+        ),
+    ],
+)
+def test_a_look_that_tells_nothing_says_why_on_its_page(
+    change: Callable[[dict[str, Any]], dict[str, Any]],
+    reason: str,
+    drawn: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert reason in started(written(tmp_path / "log.csv", change(moved())), code=2)
+    page, found = (tmp_path / "log_start.html").read_text(), json.loads((tmp_path / "log_start.json").read_text())
+    assert reason in html.unescape(page) and "Nothing was fitted" in page
+    assert ('data-plot="log_force"' in page) == drawn
+    assert reason in found["refusal"] and found["statements"] == []
+    assert {path.suffix for path in tmp_path.iterdir()} == {".csv", ".html", ".json"}
+
+
+def test_a_mass_that_does_not_show_is_open_and_friction_is_not(tmp_path: Path) -> None:
+    columns = moved(mass=0.0, noise=0.2)
+    log = written(tmp_path / "log.csv", columns)
+    found = survey(log)
+    stated = {s.about: s for s in found.statements}
+    assert stated["mass"].sure == "no" and math.isnan(stated["mass"].value) and stated["mass"].next
+    assert stated["coulomb"].value == pytest.approx(4.0, abs=0.1)
+    assert "--mass" in started(log, "--out", str(tmp_path / "axis.toml"), code=2)
+
+
 @pytest.mark.slow
-def test_from_a_log_the_file_is_identified(tmp_path: Path) -> None:
+def test_from_a_log_the_file_is_of_its_numbers(tmp_path: Path) -> None:
     axis = load_machine("etel_xy")
     write_log(tmp_path / "log.csv", simulate_log(axis, seconds=6.0, seed=3))
     path = tmp_path / "my_axis.toml"

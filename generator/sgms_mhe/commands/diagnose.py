@@ -48,7 +48,7 @@ def command(
     With further LOGs of the same axis causes are sought in all, and numbers fitted to all: a cause transfers if it
     holds there too.
 
-    Writes report.html with its figures, diagnosis.json and, where a cause is named, the extended machine file. The
+    Writes report.html, diagnosis.json and, where a cause is named, the extended machine file. The
     verdict is explained, adequate (nothing is missing), ambiguous (the record cannot distinguish causes; the report has
     the move that does) or unexplained (structure is left that no known effect accounts for; nothing is invented).
 
@@ -106,10 +106,11 @@ def command(
 def _say_implausible(error: ImplausibleError, machine: Machine, log: Log, folder: Path, as_json: bool) -> None:
     """The verdict on a log whose columns cannot be what they are called: nothing is fitted to it."""
     from sgms_mhe.diagnosis import write_refusal
-    from sgms_mhe.report import write_refusal_report
+    from sgms_mhe.report import write_unread_page
 
     content = write_refusal(str(error), machine, folder)
-    report = write_refusal_report(str(error), machine, log, folder)
+    about = [("Machine file", f"{machine.name}, sha256 {machine.digest[:16]}")]
+    report = write_unread_page(folder / "report.html", str(error), log, {"file": log.source}, about)
     common.show(common.json_text(content) if as_json else f"unexplained: {error}\nreport: {report}")
 
 

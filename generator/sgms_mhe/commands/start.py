@@ -98,7 +98,7 @@ def _look(logs: Sequence[Path], out: Path | None, given: Mapping[str, Any], *, j
             found = survey(read, "axis" if out is None else out.stem, **given, note=common.note, progress=progress)
             toml = None if out is None else found.describe(progress).toml + toml_log(table, read[0].kind)
     except InputError as error:
-        write_unread_page(page, str(error), columns, read[0] if read else None)
+        write_unread_page(page, str(error), read[0] if read else None, columns)
         write_text(data, common.json_text(content | {"refusal": str(error), "statements": []}) + "\n")
         common.note(f"page: {page}")
         raise

@@ -137,7 +137,9 @@ def list_open_causes(path: Path) -> tuple[str, ...]:
         opened = [s for s in statements if s["sure"] != "yes" and s["next"]]
         words = [f"{s['about']} {s['why']['numbers'].get('other', '')} {s['kind']}" for s in opened]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        allowed = f"a JSON of start, identify or diagnose ({error.strerror if isinstance(error, OSError) else 'it is none'})"
+        allowed = (
+            f"a JSON of start, identify or diagnose ({error.strerror if isinstance(error, OSError) else 'it is none'})"
+        )
         raise InputError(path, "--open", None, allowed) from None
     names = re.findall(r"[a-z_]+", " ".join(words))
     found = tuple(dict.fromkeys(_SHOWN_BY.get(name, name) for name in names))

@@ -287,7 +287,7 @@ def _explore_records(begun: Begun, elements: int | None, known: Known, report: P
     return Explored(records, views, found, final, measured)
 
 
-def prepare_records(logs: Sequence[Log], wanted: Wanted) -> Records:
+def prepare_records(logs: Sequence[Log], wanted: Wanted, *, needs_mass: bool = True) -> Records:
     """The logs behind the chain, those refused that hold no motion."""
     common_rate(logs)
     for log in logs:
@@ -298,7 +298,7 @@ def prepare_records(logs: Sequence[Log], wanted: Wanted) -> Records:
     for log in logs:
         check_plausible(log, machine, has_mass=wanted.mass is not None)
     is_shown = wanted.mass is None and not logs[0].is_friction_alone
-    mass = rough_mass(machine, logs) if is_shown else wanted.mass or NO_MASS
+    mass = rough_mass(machine, logs, is_needed=needs_mass) if is_shown else wanted.mass or NO_MASS
     machine = unknown_axis(logs, wanted.name, mass, wanted.like)
     warnings: tuple[str, ...] = ()
     if is_shown:

@@ -139,6 +139,8 @@ def replace_filter(machine: Machine, logs: Sequence[Log]) -> tuple[Machine, tupl
         return machine, ()
     asked, chosen = machine.sampling.velocity_cutoff, machine
     mass = biased = _fit_mass(machine, logs)
+    if not mass > 0.0:
+        return machine, ()
     for cutoff in (c for c in CUTOFFS if LOWEST_CUTOFF * machine.sampling.rate <= c < asked):
         slower = override_machine(machine, {"sampling": {"velocity_cutoff": cutoff}})
         larger = _fit_mass(slower, logs)
@@ -194,13 +196,17 @@ def _noise_share(machine: Machine, log: Log) -> float:
     return scatter / size if size > 0.0 else 0.0
 
 
-def rough_mass(machine: Machine, logs: Sequence[Log]) -> float:
+def rough_mass(machine: Machine, logs: Sequence[Log], *, is_needed: bool = True) -> float:
     """Moved mass [kg, kg m^2] by least squares of the force on acceleration, speed, direction and companions.
+
+    Where it is not needed, one below 0 is the size of its error: a fit with a free mass begins from any.
 
     Raises:
         InputError: the motion asks for no mass, or one below 0.
     """
     mass, units = _fit_mass(machine, logs), machine.plant.units
+    if mass < 0.0 and not is_needed:
+        return -mass
     if not mass > 0.0:
         allowed = f"--{units.inert}: this motion shows none ({MOVES['jerks']} would)"
         seen = f"{mass:.3g} {units.mass}"

@@ -86,7 +86,7 @@ def survey(logs: Sequence[Log], wanted: Wanted, report: Progress) -> Survey:
         InputError: logs that cannot tell: of the other sign, without motion, below break-away, of no such axis, ...
     """
     ordered = tuple(sort_logs(logs))
-    records = prepare_records(ordered, wanted)
+    records = prepare_records(ordered, wanted, needs_mass=False)
     try:
         known = Known(wanted.mass is not None or ordered[0].is_friction_alone, count=False)
         explored = _fit_start(begin(records, wanted.per_decade, report), known)
@@ -99,16 +99,17 @@ def survey(logs: Sequence[Log], wanted: Wanted, report: Progress) -> Survey:
 def _fit_start(begun: Begun, known: Known) -> Explored:
     """Return the fit of the convex start's elements without those that its records do not tell apart."""
     records, view, names = begun.records, begun.views.fine, name_all(begun.records.names)
-    if not len(begun.spectrum.distances):
-        raise frictionless_error(names)
-    fit, rivals = fit_plain(view, begun.base, begun.spectrum.distances)
-    fit = join_alike(view, drop_traces(begun.views, drop_empty(view, fit)))
-    final = state_numbers(view, fit, rivals, known)
+    shows_friction = len(begun.spectrum.distances) > 0
+    fit, rivals = fit_plain(view, begun.base, begun.spectrum.distances if shows_friction else None)
     units, push = records.machine.plant.units, float(np.std(view.rows.force[view.rows.used]))
-    if final.held_out_rms > FOREIGN * push:
-        left = f"{final.held_out_rms:.2g} of {push:.2g} {units.force} rms without an explanation"
+    if fit.cross_rms > FOREIGN * push:
+        left = f"{fit.cross_rms:.2g} of {push:.2g} {units.force} rms without an explanation"
         allowed = f"a log in which {units.inert}, friction and forces over the place are most of the {units.push}"
         raise InputError(names, units.push, left, f"{allowed}; what are its columns, their units, the axis?")
+    if not shows_friction:
+        raise frictionless_error(names)
+    fit = join_alike(view, drop_traces(begun.views, drop_empty(view, fit)))
+    final = state_numbers(view, fit, rivals, known)
     found = ChosenModel(final.fit, final.fit, decided=False, counts={len(final.fit.levels): final.fit.cross_rms})
     measured = measure_motion(records, found)
     beside = [term.name for term in companion_terms(view.rows)]

@@ -9,7 +9,6 @@ from sgms_mhe.report.fleet import FleetPoint as FleetPoint
 from sgms_mhe.report.fleet import NumberTrend as NumberTrend
 from sgms_mhe.report.page import attempt_report as attempt_report
 from sgms_mhe.report.page import write_fleet_report as write_fleet_report
-from sgms_mhe.report.page import write_refusal_report as write_refusal_report
 from sgms_mhe.report.page import write_report as write_report
 from sgms_mhe.report.page import write_survey_page as write_survey_page
 from sgms_mhe.report.page import write_unread_page as write_unread_page

@@ -10,7 +10,6 @@ from typing import Any, Final
 from sgms_mhe import __version__
 from sgms_mhe.diagnosis import Cause, Diagnosis, ResidualStructure, Traces
 from sgms_mhe.diagnosis.criteria import material_force
-from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.learned import learned_titles
@@ -63,7 +62,6 @@ def page(
     views: Sequence[View],
     in_place: Sequence[InPlace],
     gain: EstimatorGain | None,
-    figures: Sequence[str],
 ) -> dict[str, Any]:
     """Everything that the template asks for, but for data, style and script."""
     d, t = diagnosis, diagnosis.traces
@@ -119,7 +117,6 @@ def page(
         "numbers": _number_rows(d),
         "records": _record_rows(d),
         "about": _about(d, t),
-        "figures": figures,
     }
 
 
@@ -153,27 +150,6 @@ def _record_rows(d: Diagnosis) -> list[dict[str, str]]:
         }
         for record in d.records
     ]
-
-
-def refusal(sentence_: str, machine: Machine, source: str) -> dict[str, Any]:
-    """Return the page of a log whose columns contradict their names."""
-    return {
-        "machine": machine.name,
-        "description": machine.description,
-        "source": source,
-        "badge": {"name": "unexplained", "style": "failed", "sign": SIGNS["failed"]},
-        "headline": "This log's columns cannot be what they are called: nothing was fitted to it.",
-        "limits": {"title": "What is wrong with this record", "choices": [], "others": [sentence_]},
-        "time_plots": [
-            {"key": "log_force", "size": "", "aria": f"{capital(axis_units().push)} over time, as read from the log"},
-            {"key": "log_position", "size": "low", "aria": "Position over time, as read from the log"},
-        ],
-        "about": [
-            ("Record", source),
-            ("Machine file", f"{machine.name}, sha256 {machine.digest[:16]}"),
-            ("Computed by", f"sgms-mhe {__version__}"),
-        ],
-    }
 
 
 def _badge(d: Diagnosis) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""The report of a diagnosis: one page that works without a network, and its figures as pictures."""
+"""The pages: of a diagnosis, a first look, a fleet, a run that is watched; each works without a network."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import jinja2
 from markupsafe import Markup
 
 from sgms_mhe.diagnosis import Diagnosis, write_extended
-from sgms_mhe.evaluation.plots import save_figure
 from sgms_mhe.identification.survey import Survey
-from sgms_mhe.machine import Machine
-from sgms_mhe.report import content, figures
+from sgms_mhe.machine import LINEAR
+from sgms_mhe.report import content
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.fleet import FleetCourse, FleetLog, fleet_content
 from sgms_mhe.report.learned import learned_plots
@@ -27,17 +26,13 @@ from sgms_mhe.report.units import use_units
 from sgms_mhe.report.watch import Watched, watch_content, watch_plots
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.files import write_text
-from sgms_mhe.support.libraries import has_library
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _LOGGER: Final = logging.getLogger(__name__)
 _HERE: Final = Path(__file__).resolve().parent
 
 
 def write_report(diagnosis: Diagnosis, out_dir: str | Path, *, estimator: EstimatorGain | None = None) -> Path:
-    """Write report.html, its figures as PNG where matplotlib is installed, and the extended machine file.
+    """Write report.html and the extended machine file.
 
     Args:
         diagnosis: to be reported.
@@ -73,41 +68,11 @@ def attempt_report(
         return None
 
 
-def write_refusal_report(sentence: str, machine: Machine, log: Log, out_dir: str | Path) -> Path:
-    """Write report.html of a log whose columns cannot be what they are called: what is wrong, and what was read.
-
-    Args:
-        sentence: what is wrong.
-        machine: that the log was to be diagnosed with.
-        log: as it was read.
-        out_dir: folder; made where it does not exist.
-
-    Returns:
-        Path of report.html.
-    """
-    path = Path(out_dir) / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with use_units(machine.plant.units):
-        page, drawn = content.refusal(sentence, machine, log.source), log_plots(log)
-        return _write_page(path, "refusal.html.jinja", page, drawn)
-
-
 def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None) -> Path:
     shown, rivals = views(diagnosis.traces), rivals_in_place(diagnosis)
-    drawings: dict[str, Callable[[], Figure]] = {
-        "measured.png": lambda: figures.measured_figure(diagnosis),
-        "residual.png": lambda: figures.residual_figure(diagnosis, shown),
-        "candidates.png": lambda: figures.candidates_figure(diagnosis),
-        "gain.png": lambda: figures.gain_figure(diagnosis, estimator),
-    }
-    if not has_library("matplotlib"):  # the page draws for itself
-        drawings.clear()
-    for name, draw in drawings.items():
-        save_figure(folder / name, draw())
     write_extended(diagnosis, folder)
     # Last: where it is, everything that it links to is.
-    page = content.page(diagnosis, folder, shown, rivals, estimator, list(drawings))
-    drawn = plots(diagnosis, shown, rivals)
+    page, drawn = content.page(diagnosis, folder, shown, rivals, estimator), plots(diagnosis, shown, rivals)
     if diagnosis.learned is not None:
         drawn |= learned_plots(diagnosis.learned)
     return _write_page(folder / "report.html", "report.html.jinja", page, drawn)
@@ -153,13 +118,22 @@ def write_survey_page(path: Path, found: Survey, columns: Mapping[str, Any], com
         _write_page(path, "survey.html.jinja", survey_content(found, columns, command), survey_plots(found))
 
 
-def write_unread_page(path: Path, reason: str, columns: Mapping[str, Any], log: Log | None) -> None:
-    """Write the page of a log that tells nothing; `log`: as it was read, None: it was not."""
-    content, drawn = unread_content(reason, columns, has_log=log is not None), {}
-    if log is not None:
-        with use_units(log.units):
-            drawn = log_plots(log)
-    _write_page(path, "survey.html.jinja", content, drawn)
+def write_unread_page(
+    path: Path, reason: str, log: Log | None, columns: Mapping[str, Any], about: Sequence[tuple[str, str]] = ()
+) -> Path:
+    """Write the page of a log to which nothing was fitted; return its path.
+
+    Args:
+        path: of the page; its folder is made where it does not exist.
+        reason: in a sentence.
+        log: as it was read; None: it was not.
+        columns: of the log, as `inspect` has them; or its `file` alone.
+        about: what the page is of, by names.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with use_units(LINEAR if log is None else log.units):
+        page = unread_content(reason, columns, about, has_log=log is not None)
+        return _write_page(path, "survey.html.jinja", page, {} if log is None else log_plots(log))
 
 
 def _write_page(path: Path, template: str, page: dict[str, Any], drawn: dict[str, Any], *, style: str = "") -> Path:

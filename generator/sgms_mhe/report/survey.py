@@ -9,12 +9,17 @@ from typing import Any, Final
 from sgms_mhe import __version__
 from sgms_mhe.identification.survey import OFFSET, Survey
 from sgms_mhe.report.pieces import Row, tile
-from sgms_mhe.report.units import SPACE, plain, reading, stated
+from sgms_mhe.report.units import SPACE, axis_units, plain, reading, stated
 from sgms_mhe.report.words import SIGNS, capital, join_words, sentence
 from sgms_mhe.support.statements import Rule, Statement, list_open
 
 MAIN: Final = {"mass": "mass", "inertia": "inertia", "coulomb": "friction", "viscous": "damping"}
 """Numbers that decide, in words."""
+
+ABOUT: Final = (
+    ("Numbers", "least squares along the measured motion, intervals of two standard deviations"),
+    ("Next", "identify searches for the law of friction, diagnose for causes of what is left"),
+)
 
 
 def survey_content(found: Survey, columns: Mapping[str, Any], command: str) -> dict[str, Any]:
@@ -28,7 +33,7 @@ def survey_content(found: Survey, columns: Mapping[str, Any], command: str) -> d
         choices.append({"choice": "The next motion as a trajectory:", "move": "", "command": command})
     warnings = found.explored.records.warnings
     limits = {"title": "Open, and what to record next", "choices": choices, "others": warnings}
-    return _page(columns, style, name) | {
+    return _page(columns, style, name, ABOUT) | {
         "headline": _headline(found.statements),
         "limits": limits if choices or warnings else None,
         "tiles": _tiles(found),
@@ -37,14 +42,16 @@ def survey_content(found: Survey, columns: Mapping[str, Any], command: str) -> d
     }
 
 
-def unread_content(reason: str, columns: Mapping[str, Any], *, has_log: bool) -> dict[str, Any]:
-    """Return the text of the page of a log that tells nothing; `has_log`: its columns are drawn."""
+def unread_content(
+    reason: str, columns: Mapping[str, Any], about: Sequence[tuple[str, str]], *, has_log: bool
+) -> dict[str, Any]:
+    """Return the text of the page of a log to which nothing was fitted; `has_log`: its columns are drawn."""
     plots = [
-        {"key": "log_force", "size": "", "aria": "Force, or torque, over time, as read from the log"},
+        {"key": "log_force", "size": "", "aria": f"{capital(axis_units().push)} over time, as read from the log"},
         {"key": "log_position", "size": "low", "aria": "Position over time, as read from the log"},
     ]
-    return _page(columns, "failed", "no numbers") | {
-        "headline": "This log gives no numbers.",
+    return _page(columns, "failed", "no numbers", about) | {
+        "headline": "Nothing was fitted to this log.",
         "limits": {"title": "The reason, and the remedy", "choices": [], "others": [reason]},
         "tiles": [],
         "time_plots": plots if has_log else [],
@@ -52,12 +59,12 @@ def unread_content(reason: str, columns: Mapping[str, Any], *, has_log: bool) ->
     }
 
 
-def _page(columns: Mapping[str, Any], style: str, name: str) -> dict[str, Any]:
+def _page(columns: Mapping[str, Any], style: str, name: str, about: Sequence[tuple[str, str]] = ()) -> dict[str, Any]:
     """Return the common part of both pages."""
     cells = [
         {"name": c["name"] or "", "from": c["from"], "unit": c["unit"] or "not stated", "why": c.get("because") or ""}
         | {key: "–" if c[key] is None else plain(c[key]) for key in ("min", "max")}
-        for c in columns["columns"]
+        for c in columns.get("columns", ())
     ]
     return {
         "machine": "first look",
@@ -65,11 +72,8 @@ def _page(columns: Mapping[str, Any], style: str, name: str) -> dict[str, Any]:
         "source": columns["file"],
         "badge": {"style": style, "sign": SIGNS[style], "name": name},
         "columns": cells,
-        "notes": columns["notes"],
-        "about": [
-            ("Numbers", "least squares along the measured motion, intervals of two standard deviations"),
-            ("Computed by", f"sgms-mhe {__version__} start; identify searches for the law of friction, too"),
-        ],
+        "notes": columns.get("notes", ()),
+        "about": [*about, ("Computed by", f"sgms-mhe {__version__}")],
     }
 
 
@@ -106,5 +110,5 @@ def _tiles(found: Survey) -> list[Row]:
             tiles[2] = tile(f"Constant {units.push}, gravity", value, text, kind)
         elif s.rule is Rule.NOISE:
             step = reading(float(s.numbers["step"]), units.position)
-            tiles[5] = tile(f"Noise of the {units.push}", value, f"the position counts {step}")
+            tiles[5] = tile(f"Noise of the {units.push}", value, f"of the position: steps of {step}")
     return [tiles[place] for place in sorted(tiles)]

@@ -100,7 +100,11 @@ class Rule(Enum):
     # the rest of an identification
     SIGN = "sign", "yes", "the sign of the {about} is right: {seen}"
     SIGN_OPEN = "sign", "open", "the sign of the {about} does not show"
-    NOISE = "noise", "yes", "noise of the {about}: {value:.2g} {unit} at {rate:g} Hz; the position counts {step:.2g} {length}"
+    NOISE = (
+        "noise",
+        "yes",
+        "noise of the {about}: {value:.2g} {unit} at {rate:g} Hz; position: steps of {step:.2g} {length}",
+    )
     SCALE = "choice", "open", "{about}: {given:g} {unit} was given, {motion} seen; or {push} is {ratio:.4g} times real"
     LAW = "law", "open", "{about}: switching or smooth is open ({other:.3g}, {value:.3g} {unit} left); sgms is taken"
     LAW_TOLD = "law", "yes", "{about}: {law}"
