@@ -86,10 +86,10 @@ def _look(logs: Sequence[Path], out: Path | None, given: Mapping[str, Any], *, j
     from sgms_mhe.report import write_survey_page, write_unread_page
     from sgms_mhe.support.files import write_text
 
-    base = Path(logs[0].name) if out is None else out
-    page, data = (base.with_name(f"{base.stem}_start{suffix}") for suffix in (".html", ".json"))
     table = given["table"]
     columns = inspect_log(logs[0], None, log_mapping(table, "[log]") if table else None).as_dict()
+    base = Path(logs[0].name.partition(".")[0] or "log") if out is None else out.with_suffix("")
+    page, data = (base.with_name(f"{base.name}_start{suffix}") for suffix in (".html", ".json"))
     content: dict[str, Any] = {"logs": [str(log) for log in logs], "columns": columns["columns"], "page": str(page)}
     read = []
     try:

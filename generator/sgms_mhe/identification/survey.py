@@ -27,12 +27,14 @@ from sgms_mhe.identification.sampling import name_all
 from sgms_mhe.identification.search import ChosenModel, Progress
 from sgms_mhe.identification.start import Begun, begin
 from sgms_mhe.identification.terms import companion_terms
+from sgms_mhe.logfiles.plausibility import check_has_force
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, effect_definition
 from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import encoder_step
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.numbers import SIGMAS
 from sgms_mhe.support.parallel import one_library_thread
 from sgms_mhe.support.statements import Rule, Statement
 
@@ -86,6 +88,8 @@ def survey(logs: Sequence[Log], wanted: Wanted, report: Progress) -> Survey:
         InputError: logs that cannot tell: of the other sign, without motion, below break-away, of no such axis, ...
     """
     ordered = tuple(sort_logs(logs))
+    for log in ordered:
+        check_has_force(log)
     records = prepare_records(ordered, wanted, needs_mass=False)
     try:
         known = Known(wanted.mass is not None or ordered[0].is_friction_alone, count=False)
@@ -137,5 +141,8 @@ def _state_log(explored: Explored, logs: Sequence[Log], floor: float) -> Iterato
         with_offset = fit_axis(final.view, (*final.fit.terms, own[OFFSET]), final.fit.shape, iterations=0)
         place = with_offset.place(OFFSET).start
         std = float(np.sqrt(covariance(final.view, with_offset)[place, place]))
-        value = float(with_offset.coefficient(OFFSET)[0])
-        yield Statement.of_number(Rule.NO_FORCE, f"{OFFSET}.{units.named('force_N')}", value, std, units.force)
+        about, value = f"{OFFSET}.{units.named('force_N')}", float(with_offset.coefficient(OFFSET)[0])
+        if SIGMAS * std < final.fit.coulomb:
+            yield Statement.of_number(Rule.NO_FORCE, about, value, std, units.force)
+        else:
+            yield Statement(Rule.UNSEEN, about, unit=units.force, next=MOVES["speeds"])

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.identification.survey import OFFSET, Survey
+from sgms_mhe.identification.survey import Survey
 from sgms_mhe.report.pieces import Row, tile
 from sgms_mhe.report.units import SPACE, axis_units, plain, reading, stated
-from sgms_mhe.report.words import SIGNS, capital, join_words, sentence
+from sgms_mhe.report.words import SIGNS, capital, join_words, sentence, title
 from sgms_mhe.support.statements import Rule, Statement, list_open
 
 MAIN: Final = {"mass": "mass", "inertia": "inertia", "coulomb": "friction", "viscous": "damping"}
@@ -25,7 +25,7 @@ ABOUT: Final = (
 def survey_content(found: Survey, columns: Mapping[str, Any], command: str) -> dict[str, Any]:
     """Return the text of the page; `columns`: of the log as it was read; `command`: plans the next motion."""
     units, questions = found.units, list_open(found.statements)
-    unsure = [MAIN[s.about] for s in found.statements if s.about in MAIN and s.sure != "yes"]
+    unsure = _name_unsure(found.statements)
     style = "undecided" if unsure else "limited" if questions else "certain"
     name = f"open: {join_words(unsure)}" if unsure else "determined, with limits" if questions else "determined"
     choices = [{"choice": sentence(s.sentence), **_split_move(s.next or "")} for s in questions]
@@ -86,9 +86,16 @@ def _split_move(move: str) -> dict[str, str]:
 
 def _headline(statements: Sequence[Statement]) -> str:
     """Return the decision in a sentence."""
-    known = [f"{MAIN[s.about]} {stated(s)}" for s in statements if s.about in MAIN and s.sure == "yes"]
-    open_ = [MAIN[s.about] for s in statements if s.about in MAIN and s.sure != "yes"]
-    return capital("; ".join([*known, *([f"{join_words(open_)} not determined"] if open_ else [])])) + "."
+    parts = [
+        f"{MAIN[s.about]} {stated(s)}" for s in statements if s.about in MAIN and (s.kind, s.sure) == ("number", "yes")
+    ]
+    unsure = _name_unsure(statements)
+    return capital("; ".join([*parts, *([f"{join_words(unsure)} not determined"] if unsure else [])])) + "."
+
+
+def _name_unsure(statements: Sequence[Statement]) -> list[str]:
+    """Return the numbers that decide and are not determined, in words."""
+    return [MAIN[s.about] for s in statements if s.kind == "number" and s.about in MAIN and s.sure != "yes"]
 
 
 def _tiles(found: Survey) -> list[Row]:
@@ -102,12 +109,14 @@ def _tiles(found: Survey) -> list[Row]:
         kind = "" if s.sure == "yes" else "before"
         if s.kind == "sign":
             tiles[0] = tile(f"Sign of the {units.push}", "right" if s.sure == "yes" else "open", s.next or "", kind)
-        elif s.about in MAIN:
+        elif s.kind == "number" and s.about in MAIN:
             place = 1 if s.about == units.inert else 3 if s.about == "coulomb" else 4
             tiles[place] = tile(capital(MAIN[s.about]), value, text, kind)
-        elif s.kind == "number" and s.about.startswith(OFFSET):
+        elif s.kind == "number" and "." in s.about and 2 not in tiles:
             value = "none" if s.rule is Rule.NO_FORCE else value
-            tiles[2] = tile(f"Constant {units.push}, gravity", value, text, kind)
+            tiles[2] = tile(
+                "Gravity, other constant load", value, "; ".join((title(s.about.partition(".")[0]), text)), kind
+            )
         elif s.rule is Rule.NOISE:
             step = reading(float(s.numbers["step"]), units.position)
             tiles[5] = tile(f"Noise of the {units.push}", value, f"of the position: steps of {step}")
