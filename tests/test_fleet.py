@@ -21,7 +21,7 @@ import diagnosis_cases
 from cli_cases import SCRIPT, SMALL, done, files, read_columns, refused, run
 from dask_cluster import Cluster
 from sgms_mhe.api.fleet import Done, Fleet, run_fleet
-from sgms_mhe.api.fleet.bands import LEVEL, courses
+from sgms_mhe.api.fleet.bands import ALARM, LEVEL, courses, find_steps
 from sgms_mhe.api.fleet.table import Row, read_table
 from sgms_mhe.api.fleet.work import FleetNumber, Result, machine_name, work
 from sgms_mhe.api.fleet.writing import results_json, write_fleet
@@ -337,6 +337,44 @@ def test_wear_from_the_first_log_on_is_seen_as_a_steady_move() -> None:
     assert np.mean([c.trend is not None for c in still]) < 0.02
     small = only(courses(course((4.0 + 0.001 * np.arange(8)).tolist(), std=0.1)))
     assert small.trend is None  # within what a log can tell
+
+
+@pytest.mark.parametrize("count", [5, 8, 20])
+def test_an_unchanged_number_is_called_changed_as_seldom_as_stated(count: int) -> None:
+    rng, runs = np.random.default_rng(3), 4000
+    share = np.mean([bool(find_steps(4.0 + 0.3 * rng.standard_normal(count), 0.0)) for _ in range(runs)])
+    assert 0.0 < share < ALARM + 3.0 * np.sqrt(ALARM / runs)  # Bonferroni's limit is an upper one
+
+
+@pytest.mark.parametrize(
+    ("levels", "after"),
+    [
+        ([4.0] * 6 + [4.6] * 6, [6]),
+        ([4.0] * 6 + [4.6] * 6 + [4.0] * 6, [6, 12]),  # worn, then repaired
+        ([4.0] * 10 + [4.6], []),  # one log alone is for its band
+    ],
+)
+def test_a_step_is_found_where_it_is(levels: list[float], after: list[int]) -> None:
+    values = np.array(levels) + 0.05 * np.random.default_rng(4).standard_normal(len(levels))
+    found = only(courses(course(values.tolist(), std=0.03)))
+    assert [change.log for change in found.changes] == [f"a{k}" for k in after] and found.trend is None
+    for change, k in zip(found.changes, after, strict=True):
+        assert abs(change.change - (levels[k] - levels[k - 1])) < 3.0 * change.std < 0.3
+    wide = only(courses(course(values.tolist(), std=1.0)))
+    assert not wide.changes  # within what a log can tell
+
+
+def test_a_steady_move_is_no_staircase() -> None:
+    values = 4.0 + 0.1 * np.arange(30) + 0.02 * np.random.default_rng(5).standard_normal(30)
+    found = only(courses(course(values.tolist(), std=0.02)))
+    assert found.trend is not None and not found.changes
+
+
+def test_a_fleet_that_nothing_could_be_judged_of_is_not_green(tmp_path: Path) -> None:
+    rows = course([4.0] * 3)
+    fleet = Fleet(tmp_path / "t.csv", "estimate", tuple(Done(*pair, "", None, 0.0) for pair in rows), courses(rows))
+    text = write_fleet(fleet, tmp_path).read_text()
+    assert '<span class="pill undecided">' in text and "1 of 1 axes not judged yet" in text
 
 
 def test_an_axis_without_a_past_is_held_against_the_fleet() -> None:

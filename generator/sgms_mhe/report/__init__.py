@@ -6,6 +6,7 @@ from sgms_mhe.report.fleet import Band as Band
 from sgms_mhe.report.fleet import FleetCourse as FleetCourse
 from sgms_mhe.report.fleet import FleetLog as FleetLog
 from sgms_mhe.report.fleet import FleetPoint as FleetPoint
+from sgms_mhe.report.fleet import NumberChange as NumberChange
 from sgms_mhe.report.fleet import NumberTrend as NumberTrend
 from sgms_mhe.report.page import attempt_report as attempt_report
 from sgms_mhe.report.page import write_fleet_report as write_fleet_report

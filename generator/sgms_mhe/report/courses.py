@@ -40,6 +40,7 @@ def drawn(
     nominal: float,
     written: Callable[[float], str],
     line: Literal["", "course", "course moves"],
+    breaks: Sequence[int] = (),
 ) -> str:
     """An SVG element.
 
@@ -49,6 +50,7 @@ def drawn(
         nominal: drawn as a dashed line where it is near; NaN: none.
         written: a value of the vertical axis in words.
         line: class of the line that connects the numbers; empty: none.
+        breaks: numbers (by place) before which the mean changed.
     """
     low, high = _range(marks, nominal)
     first, last = marks[0].at, marks[-1].at
@@ -67,6 +69,9 @@ def drawn(
     if line:
         points = " ".join(f"{x(m.at):.1f},{y(m.value):.1f}" for m in marks)
         parts.append(f'<polyline class="{line}" points="{points}"/>')
+    for k in breaks:
+        place = _same("x", 0.5 * (x(marks[k - 1].at) + x(marks[k].at)))
+        parts.append(f'<line class="break" {place} y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>')
     parts += [_dot(mark, x(mark.at), y) for mark in marks]
     parts.append(f'<text class="end" x="{LEFT - 6}" y="{TOP + 8}">{escape(written(high))}</text>')
     parts.append(f'<text class="end" x="{LEFT - 6}" y="{HEIGHT - BOTTOM}">{escape(written(low))}</text>')

@@ -107,10 +107,20 @@ class NumberTrend:
 
 
 @dataclass(frozen=True)
+class NumberChange:
+    """A lasting change: the first log after it and its date in words, and by how much, with standard deviation."""
+
+    log: str
+    when: str
+    change: float
+    std: float
+
+
+@dataclass(frozen=True)
 class FleetCourse:
     """A number of an axis over its logs, the earliest first.
 
-    `nominal` is NaN where a machine file has none, `trend` None where it does not move steadily.
+    `nominal` is NaN where a machine file has none, `trend` None where it does not move steadily; `changes` by time.
     """
 
     axis: str
@@ -120,6 +130,7 @@ class FleetCourse:
     nominal: float
     points: tuple[FleetPoint, ...]
     trend: NumberTrend | None = None
+    changes: tuple[NumberChange, ...] = ()
 
     @property
     def newest(self) -> FleetPoint:
@@ -128,8 +139,13 @@ class FleetCourse:
 
     @property
     def left(self) -> bool:
-        """Return True if it stands out: a log left its band, or it moves steadily."""
-        return self.trend is not None or any(point.left for point in self.points)
+        """Return True if it stands out: a log left its band, it moves steadily, or it has changed."""
+        return bool(self.trend is not None or self.changes or any(point.left for point in self.points))
+
+    @property
+    def judged(self) -> bool:
+        """Return True if a log is held against a band."""
+        return any(point.band is not None for point in self.points)
 
     @property
     def unit(self) -> str:
@@ -155,17 +171,20 @@ def fleet_content(verb: str, table: str, logs: Sequence[FleetLog], courses: Sequ
     gone = list(dict.fromkeys(course.axis for course in courses if course.left))
     statements = state_fleet(logs, courses)
     doubts = describe_doubts(statements)
+    axes = {log.axis for log in logs if not log.failure}
+    new = len(axes - {course.axis for course in courses if course.judged})
+    unjudged = f"{new} of {len(axes)} axes not judged yet" if new else ""
     return {
         "machine": f"fleet {verb}",
         "description": "",
         "source": table,
-        "badge": _badge(logs, failed, gone, doubts),
-        "headline": _headline(len(logs), len(failed), gone, doubts),
+        "badge": _badge(logs, failed, gone, doubts, unjudged),
+        "headline": _headline(len(logs), len(failed), gone, doubts, unjudged),
         "limits": None,
         "verb": verb,
         "tiles": _tiles(logs, courses, gone, doubts),
         "failed": failed,
-        "left": [capital(s.sentence) for s in statements if s.kind in ("band", "trend")],
+        "left": [capital(s.sentence) for s in statements if s.kind in ("band", "trend", "change")],
         "axes": _axes(courses, gone),
         "strips": _strips(courses),
         "logs": [{"log": log, "badge": _STYLES[log.standing]} for log in logs],
@@ -177,6 +196,8 @@ def fleet_content(verb: str, table: str, logs: Sequence[FleetLog], courses: Sequ
             ("Left", "the interval lies outside of the band as a whole"),
             ("Moves steadily", "a straight line over time (five dated logs or more) whose slope is beyond doubt and "
              "whose ends lie further apart than the intervals reach"),
+            ("Changed", "the means of the logs before and after differ (five dated logs or more); an unchanged number "
+             "is called so with a chance of at most 1 % over all of its logs"),
             ("sgms-mhe", __version__),
         ],
     }  # fmt: skip
@@ -198,6 +219,10 @@ def state_fleet(logs: Sequence[FleetLog], courses: Sequence[FleetCourse]) -> tup
         if (trend := course.trend) is not None:
             move = Statement.of_number(Rule.MOVES, about, trend.change, trend.std, course.unit, days=trend.days)
             found.append(move)
+        found += [
+            Statement.of_number(Rule.CHANGED, about, c.change, c.std, course.unit, log=c.log, when=c.when)
+            for c in course.changes
+        ]
     return tuple(found)
 
 
@@ -209,24 +234,26 @@ def describe_doubts(statements: Sequence[Statement]) -> str:
     return f"{counts.total()} of {len(rows)} logs open: {each}" if counts else ""
 
 
-def _badge(logs: Sequence[FleetLog], failed: Sequence[FleetLog], gone: Sequence[str], doubts: str) -> dict[str, str]:
+def _badge(
+    logs: Sequence[FleetLog], failed: Sequence[FleetLog], gone: Sequence[str], doubts: str, unjudged: str
+) -> dict[str, str]:
     style, name = "certain", "all done, nothing stands out"
     if failed:
         style, name = "failed", f"{len(failed)} failed"
     elif gone:
         style, name = "undecided", f"{len(gone)} {'axis stands' if len(gone) == 1 else 'axes stand'} out"
-    elif doubts:
-        style, name = "undecided", doubts.partition(":")[0]
+    elif doubts or unjudged:
+        style, name = "undecided", doubts.partition(":")[0] or unjudged
     elif any(log.standing == "limited" for log in logs):
         style, name = "limited", "all done, with limits"
     return {"style": style, "sign": SIGNS[style], "name": name}
 
 
-def _headline(logs: int, failed: int, gone: Sequence[str], doubts: str) -> str:
+def _headline(logs: int, failed: int, gone: Sequence[str], doubts: str, unjudged: str) -> str:
     done = f"{logs - failed} of {logs} logs done" if failed else f"All {logs} logs done"
     shown = ", ".join(gone[:3]) + (f" and {len(gone) - 3} more" if len(gone) > 3 else "")
     out = f"{shown} {'stands' if len(gone) == 1 else 'stand'} out" if gone else "no axis stands out"
-    return "; ".join(part for part in (done, doubts, out) if part)
+    return "; ".join(part for part in (done, doubts, out, unjudged) if part)
 
 
 def _tiles(
@@ -234,16 +261,18 @@ def _tiles(
 ) -> list[dict[str, str]]:
     failed, axes = [log for log in logs if log.failure], {log.axis for log in logs}
     left, judged = sum(c.left for c in courses), sum(p.band is not None for c in courses for p in c.points)
+    lives = sum(c.judged for c in courses)
     count, _, each = doubts.partition(" of ")
     chance = f"about {0.01 * judged:.1g} of them outside by chance" if judged else "too few logs or axes for bands"
     reasons = "each with its reason below" if failed else "every row has its result"
-    out = f"with {left} numbers" if gone else "all in band, none moves"
+    out = f"with {left} numbers" if gone else "no number left its band or changed" if judged else "none was judged"
     return [
         tile("Logs", f"{len(logs)}", f"of {len(axes)} axes"),
         tile("Failed", f"{len(failed)}", reasons, "bad" if failed else ""),
         tile("Open", count or "0", each.partition(": ")[2] or "every result holds", "before" if doubts else ""),
         tile("Axes that stand out", f"{len(gone)}", out, "before" if gone else ""),
-        tile("Numbers held against a band", f"{judged}", chance),
+        tile("Numbers judged over their life", f"{lives}", f"about {0.01 * lives:.1g} changes by chance"),
+        tile("Values held against a band", f"{judged}", chance),
     ]
 
 
@@ -274,12 +303,18 @@ def _plot(course: FleetCourse) -> dict[str, Any]:
     line: Literal["", "course", "course moves"] = ("course moves" if course.trend else "course") if known else ""
     newest = course.newest
     band = "none yet" if newest.band is None else _ORIGINS[newest.band.origin]
+    breaks = [k for k, point in enumerate(course.points) if point.log in {change.log for change in course.changes}]
+    moves = [(f"from {c.when} on", c.change, c.std) for c in course.changes]
+    moves += (
+        [] if course.trend is None else [(f"over {course.trend.days:.0f} days", course.trend.change, course.trend.std)]
+    )
+    says = [f"{course.written(change, std)} {words}" for words, change, std in moves]
     return {
         "words": course.words(),
         "value": str(course.written(newest.value, newest.std)),
         "left": course.left,
-        "band": band,
-        "svg": Markup(drawn(marks, ends, course.nominal, _writer(course), line)),
+        "says": "; ".join([*says, f"band of the newest: {band}"]),
+        "svg": Markup(drawn(marks, ends, course.nominal, _writer(course), line, breaks)),
     }
 
 

@@ -136,6 +136,7 @@ class Rule(Enum):
     DOUBTFUL = "row", "open", "{about}: {verdict}"
     OUTSIDE = "band", "no", "left its band: {about}: {shown} {unit}, band {low:.4g} to {high:.4g} of {count:.0f} {of}"
     MOVES = "trend", "yes", "moves steadily: {about}: {shown} {unit} over {days:.0f} days"
+    CHANGED = "change", "yes", "changed: {about}: {shown} {unit} from {when} on ({log})"
     FAULTLESS = "verdict", "yes", "faults seen: none"
     FAULTY = "verdict", "no", "faults seen: {value:.0f}"
     FAULT = "fault", "no", "  {about}: {start_s:.2f} to {end_s:.2f} s, {updates} updates"

@@ -7,8 +7,10 @@ deviation, which a few bad ones do not move.
 Both are prediction intervals: with centre c and spread s over n values, c +- t s sqrt(1 + 1/n), t of the Student
 distribution with n - 1 degrees of freedom at `LEVEL`. s is no less than the standard deviations that the logs state.
 
-Wear that was there from the first log widens the band it should leave. So the course over time is judged as well: a
-straight line through it, whose slope is beyond doubt and whose ends lie further apart than the logs' intervals reach.
+Wear that was there from the first log widens the band it should leave. So all logs of an axis are judged together as
+well: by a straight line, whose slope is beyond doubt and whose ends lie further apart than the logs' intervals reach;
+and by steps of the mean, found by Student statistics of stretches against the rest (Levin and Kline 1985, Olshen 2004),
+the limit by Bonferroni over all stretches. Of line and steps the one with the lesser information criterion counts.
 """
 
 from __future__ import annotations
@@ -23,17 +25,23 @@ from scipy.stats import t as student
 
 from sgms_mhe.api.fleet.table import Row
 from sgms_mhe.api.fleet.work import FleetNumber, Result
-from sgms_mhe.report import Band, FleetCourse, FleetPoint, NumberTrend
+from sgms_mhe.report import Band, FleetCourse, FleetPoint, NumberChange, NumberTrend
+from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.numbers import SIGMAS
 
 LEVEL: Final = 0.99
 """Share of the logs of an unchanged axis that lie within a band."""
 FIRST: Final = 5
 """Logs that an axis's own band is made of, at most."""
+ALARM: Final = 0.01
+"""Chance that a number without a change is called changed, over all of its logs."""
+LEAST_SIDE: Final = 2
+"""Logs on either side of a change: one alone is for its band to judge."""
 LEAST_OWN: Final = 3
 LEAST_TREND: Final = 5
 LEAST_FLEET: Final = 5
 DAY_S: Final = 86_400.0
+_TINY: Final = np.finfo(float).tiny
 _TO_DEVIATION: Final = 1.4826
 """Standard deviation over median absolute deviation, of a Gaussian."""
 
@@ -65,27 +73,76 @@ def courses(results: Sequence[tuple[Row, Result]]) -> tuple[FleetCourse, ...]:
         )
         _, last, newest = own[-1]
         _, axis, name = key
-        series.append(FleetCourse(axis, last.machine, last.kind, name, newest.nominal, points, _trend(points)))
+        course = FleetCourse(axis, last.machine, last.kind, name, newest.nominal, points, *_judge_life(points))
+        series.append(course)
     return tuple(series)
 
 
-def _trend(points: Sequence[FleetPoint]) -> NumberTrend | None:
-    """How steadily a number moves; None: it does not, or there are too few dated logs to say."""
+def _judge_life(points: Sequence[FleetPoint]) -> tuple[NumberTrend | None, tuple[NumberChange, ...]]:
+    """How steadily a number moves over its dated logs, or where it changes; neither: it does not, or few logs tell."""
     dated = [point for point in points if point.time is not None]
-    times = np.array([point.time for point in dated], dtype=float)
+    times, values = (np.array([getattr(point, name) for point in dated], dtype=float) for name in ("time", "value"))
     if len(times) < LEAST_TREND or np.ptp(times) == 0.0:
-        return None
-    days = (times - times[0]) / DAY_S
-    values = np.array([point.value for point in dated])
+        return None, ()
+    days, count = (times - times[0]) / DAY_S, len(times)
     stated = _rms([point.std for point in dated])
     centred = days - days.mean()
     slope = float(centred @ values / (centred @ centred))
     residual = values - values.mean() - slope * centred
-    scatter = max(math.sqrt(float(residual @ residual) / (len(days) - 2)), stated)
+    loss = float(residual @ residual)
+    scatter = max(math.sqrt(loss / (count - 2)), stated)
     span = float(days[-1])
     change, std = slope * span, scatter * span / math.sqrt(float(centred @ centred))
-    sure = abs(change) > float(student.ppf(0.5 + 0.5 * LEVEL, len(days) - 2)) * std
-    return NumberTrend(change, std, span, len(days)) if sure and abs(change) > 2.0 * SIGMAS * stated else None
+    sure = abs(change) > float(student.ppf(0.5 + 0.5 * LEVEL, count - 2)) * std
+    moves = sure and abs(change) > 2.0 * SIGMAS * stated
+    cuts = find_steps(values, stated)
+    parts = np.split(values, cuts)
+    losses = (loss, float(sum(np.sum((part - part.mean()) ** 2) for part in parts)))
+    line, level = (  # Bayesian information criteria
+        count * math.log(max(left / count, stated**2, _TINY)) + parameters * math.log(count)
+        for left, parameters in zip(losses, (2, 2 * len(cuts) + 1), strict=True)
+    )
+    if moves and (not cuts or line <= level):
+        return NumberTrend(change, std, span, count), ()
+    scatter = max(math.sqrt(losses[1] / (count - len(parts))), stated)
+    return None, tuple(
+        NumberChange(
+            dated[k].log,
+            dated[k].when,
+            float(after.mean() - before.mean()),
+            scatter * math.sqrt(1.0 / len(before) + 1.0 / len(after)),
+        )
+        for k, before, after in zip(cuts, parts, parts[1:], strict=False)
+    )
+
+
+def find_steps(values: Array, stated: float) -> list[int]:
+    """Return the places of the first values after each step of the mean of a series.
+
+    The mean of a stretch is compared with that of all other values, over all stretches: one that goes on to the end is
+    a step, another one a step and its return. Each part is searched again. A series without any step has one with a
+    chance of `ALARM` at the most.
+
+    Args:
+        values: in the order of time (n).
+        stated: standard deviation that a value has at least.
+    """
+    count = len(values)
+    if count < LEAST_TREND:
+        return []
+    inner = range(LEAST_SIDE, count - LEAST_SIDE + 1)
+    start, end = np.array([(i, j) for i in inner for j in (*inner, count) if j - i >= LEAST_SIDE]).T
+    sums, size = np.concatenate(([0.0], np.cumsum(values))), end - start
+    own = sums[end] - sums[start]
+    change, share = own / size - (sums[-1] - own) / (count - size), size * (count - size) / count
+    left = np.maximum(np.sum((values - values.mean()) ** 2) - share * change**2, 0.0)
+    statistic = np.abs(change) * np.sqrt(share) / np.maximum(np.maximum(np.sqrt(left / (count - 2)), stated), _TINY)
+    best = int(np.argmax(statistic))
+    if statistic[best] <= float(student.ppf(1.0 - 0.5 * ALARM / len(size), count - 2)):
+        return []
+    cuts = [int(place) for place in (start[best], end[best]) if place < count]
+    parts = zip([0, *cuts], np.split(values, cuts), strict=True)
+    return sorted([*cuts, *(first + k for first, part in parts for k in find_steps(part, stated))])
 
 
 def _compared_with(row: Row) -> str:

@@ -50,6 +50,11 @@ def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
             for c in fleet.courses
             if c.trend is not None
         ],
+        "changes": [
+            {"axis": c.axis, "name": _name_with_unit(c.kind, c.name), **asdict(change)}
+            for c in fleet.courses
+            for change in c.changes
+        ],
         "rows": [
             {
                 "row": done.row.number,
