@@ -211,7 +211,8 @@ def state_fleet(logs: Sequence[FleetLog], courses: Sequence[FleetCourse]) -> tup
         found.append(Statement(rule, log.name, numbers={"verdict": log.verdict, "reason": log.failure}))
     for course in courses:
         about = f"{course.axis}, {course.name}"
-        for p in (point for point in course.points if point.left):
+        told = course.trend is not None or course.changes  # of which it is a part
+        for p in (point for point in course.points if point.left and not told):
             if (band := p.band) is not None:
                 ends: dict[str, float | str] = {"low": band.low, "high": band.high, "of": _ORIGINS[band.origin]}
                 at, ends["count"] = f"{about}, {p.log}", band.count
@@ -304,11 +305,9 @@ def _plot(course: FleetCourse) -> dict[str, Any]:
     newest = course.newest
     band = "none yet" if newest.band is None else _ORIGINS[newest.band.origin]
     breaks = [k for k, point in enumerate(course.points) if point.log in {change.log for change in course.changes}]
-    moves = [(f"from {c.when} on", c.change, c.std) for c in course.changes]
-    moves += (
-        [] if course.trend is None else [(f"over {course.trend.days:.0f} days", course.trend.change, course.trend.std)]
-    )
-    says = [f"{course.written(change, std)} {words}" for words, change, std in moves]
+    says = [f"changed by {course.written(c.change, c.std)} from {c.when} on" for c in course.changes]
+    if (trend := course.trend) is not None:
+        says.append(f"moved by {course.written(trend.change, trend.std)} over {trend.days:.0f} days")
     return {
         "words": course.words(),
         "value": str(course.written(newest.value, newest.std)),
