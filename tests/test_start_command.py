@@ -15,13 +15,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from cli_cases import done
+from cli_cases import done, refused
 from record_cases import simulate_log
+from sgms_mhe.api.experiments import plan
 from sgms_mhe.api.identification import survey
 from sgms_mhe.api.starting import start_text
 from sgms_mhe.cli import cli
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
+from sgms_mhe.model.effects import MOVES
 from sgms_mhe.signals.logs import write_log
 
 
@@ -195,6 +197,36 @@ def test_a_mass_that_does_not_show_is_open_and_friction_is_not(tmp_path: Path) -
     assert stated["mass"].sure == "no" and math.isnan(stated["mass"].value) and stated["mass"].next
     assert stated["coulomb"].value == pytest.approx(4.0, abs=0.1)
     assert "--mass" in started(log, "--out", str(tmp_path / "axis.toml"), code=2)
+
+
+@pytest.mark.parametrize(
+    ("about", "kind", "sure", "moves"),
+    [
+        ("viscous", "cause", "no", {"constant speeds in both directions"}),
+        ("mass", "number", "no", {"hard accelerations and sines"}),
+        ("element 2", "element", "no", {"presliding loops at two speeds"}),
+        ("coulomb", "number", "yes", None),
+        ("residual", "residual", "open", None),
+    ],
+)
+def test_the_next_motion_is_for_what_is_open(
+    about: str, kind: str, sure: str, moves: set[str] | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "log_start.json"
+    statement = {"about": about, "kind": kind, "sure": sure, "why": {"numbers": {}}, "next": "a motion"}
+    path.write_text(json.dumps({"statements": [statement]}))
+    if moves is None:
+        assert "leaves something open" in refused("plan", "etel_xy", "--open", path, "--out", tmp_path / "p.csv")
+        return
+    found = plan("etel_xy", open_in=path)
+    assert moves <= set(found.moves) < set(MOVES.values())
+    assert len(found.trajectory.time_s) > 1
+
+
+@pytest.mark.parametrize("text", ["no json", "{}", '{"statements": [{"sure": "no"}]}'])
+def test_a_result_that_is_none_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(text)
+    assert "it is none" in refused("plan", "etel_xy", "--open", tmp_path / "a.json", "--out", tmp_path / "p.csv")
 
 
 @pytest.mark.slow

@@ -580,6 +580,22 @@ def test_the_summary_tells_what_was_seen(small: Path, log: Path) -> None:
     assert re.search(r"^  no valid reading: 0\.\d\d to 1\.\d\d s, \d+ updates$", text, re.MULTILINE)
 
 
+def test_numbers_that_the_motion_has_not_told_are_open_with_the_motion_that_would(small: Path, tmp_path: Path) -> None:
+    rest = trace()
+    tremble = np.arange(len(rest)) % 2
+    still = Log(rest.time_s, 1e-12 * tremble, 1e-6 * np.cos(rest.time_s), rest.rate)
+    for name, record in (("still", still), ("moved", rest)):
+        write_log(tmp_path / f"{name}.csv", record)
+    stood, moved = (
+        done("watch", small, tmp_path / f"{name}.csv", "--speed", "max", "--every", "0.2")
+        for name in ("still", "moved")
+    )
+    assert re.search(r", open: .*stiffness_1", stood.stderr.splitlines()[-1])
+    assert re.search(r"^open: stiffness_1 .* Needed: reversals", stood.stdout, re.MULTILINE)
+    assert ", open: " in moved.stderr.splitlines()[0] and ", open: " not in moved.stderr.splitlines()[-1]
+    assert "open: stiffness_1" not in moved.stdout
+
+
 def test_a_garbage_line_ends_it_with_what_was_gained(small: Path, log: Path, tmp_path: Path) -> None:
     lines = log.read_text().splitlines(keepends=True)
     log.write_text("".join([*lines[:2001], "2.000,gar", *lines[2001:]]))

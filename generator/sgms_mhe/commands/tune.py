@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from sgms_mhe.commands import common
 from sgms_mhe.commands.options import make_command
-from sgms_mhe.support.libraries import optional_library
 from sgms_mhe.support.options import Option
 
 if TYPE_CHECKING:
@@ -15,9 +14,7 @@ if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
 
 
-@make_command(
-    "tune etel_xy log.csv --out tuned.toml", "tune my_axis.toml log.csv --plot trade_off.png", of="tuning.tune"
-)
+@make_command("tune etel_xy log.csv --out tuned.toml", of="tuning.tune")
 def command(
     machine: Machine,
     log: Path,
@@ -25,7 +22,6 @@ def command(
     out: Annotated[Path | None, Option("MACHINE.toml")] = None,
     objective: Literal["force", "motion", "both"] = "force",
     standalone: bool = False,
-    plot: Annotated[Path | None, Option("PNG")] = None,
     json: bool = False,
 ) -> None:
     """Noise weights and horizon from a log.
@@ -36,25 +32,18 @@ def command(
 
     Args:
         out: a machine file that extends MACHINE by the weights.
-        plot: draw the gain of every weight.
     """
     if out is not None:
         common.check_output_file(out, (".toml",))
-    if plot is not None:
-        common.check_output_file(plot, (".png", ".svg"))
-        optional_library("matplotlib", "plot", "a figure", "--plot")
 
     from sgms_mhe.api import tuning
-    from sgms_mhe.evaluation.plots import save_figure, trade_off_figure
     from sgms_mhe.support.files import write_text
 
     with common.step_notes() as progress:
         tuned = tuning.tune(machine, log, objective=objective, note=common.note, progress=progress)
     if out is not None:
         write_text(out, _toml(tuned, out, log.name, standalone))
-    if plot is not None:
-        save_figure(plot, trade_off_figure(tuned))
-    outputs = [path for path in (out, plot) if path is not None]
+    outputs = [] if out is None else [out]
     common.show(common.json_text(_content(tuned)) if json else _text(tuned, outputs), *outputs)
 
 

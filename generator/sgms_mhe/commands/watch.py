@@ -211,13 +211,15 @@ def _line(course: RunSummary, last: Estimates) -> str:
         for name, value, std in zip(course.names, last.parameters[0], last.std[0], strict=True)
     ]
     friction = f"friction {last.friction_N[0]:.4g} {units.force}, test ratio {last.test_ratio[0]:.3g}"
-    return ", ".join([f"{last.time_s[0]:.2f} s: {status_words(int(last.status[0]))}", friction, *parameters])
+    still = [f"open: {' '.join(map(units.named, course.open_numbers))}"] if course.open_numbers else []
+    return ", ".join([f"{last.time_s[0]:.2f} s: {status_words(int(last.status[0]))}", friction, *parameters, *still])
 
 
 def _text(machine: Machine, summary: dict[str, Any], statements: Sequence[Statement]) -> str:
     """The summary for people."""
     units, greatest = machine.plant.units, summary["greatest_test_ratio"]
     shown = {kind: [s.sentence for s in statements if s.kind == kind] for kind in ("verdict", "fault", "log")}
+    shown["open"] = [f"open: {s.advice}" for s in statements if s.kind == "number" and s.sure == "no"]
     more = [f"  and {summary['faults'] - SHOWN} more"] if summary["faults"] > SHOWN else []
     return "\n".join(
         [
@@ -226,6 +228,6 @@ def _text(machine: Machine, summary: dict[str, Any], statements: Sequence[Statem
             f"{common.updates_text(units, summary)}",
             common.parameters_text(units, summary["parameters"]),
             f"greatest test ratio {greatest['value']:.4g} at {greatest['time_s']:.2f} s",
-            *(*shown["verdict"], *shown["fault"][:SHOWN], *more, *shown["log"]),
+            *(*shown["verdict"], *shown["fault"][:SHOWN], *more, *shown["log"], *shown["open"]),
         ]
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.machine import Machine, Units
-from sgms_mhe.model.effects import MOVES, Move, cause, cause_names, separating_moves
+from sgms_mhe.model.effects import MOVES, Move, cause, cause_names, find_causes, separating_moves
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.support.errors import InputError
@@ -141,16 +140,10 @@ def list_open_causes(path: Path) -> tuple[str, ...]:
             f"a JSON of start, identify or diagnose ({error.strerror if isinstance(error, OSError) else 'it is none'})"
         )
         raise InputError(path, "--open", None, allowed) from None
-    names = re.findall(r"[a-z_]+", " ".join(words))
-    found = tuple(dict.fromkeys(_SHOWN_BY.get(name, name) for name in names))
-    causes = tuple(name for name in found if name in cause_names())
+    causes = find_causes(" ".join(words))
     if not causes:
         raise InputError(path, "--open", None, "a result that leaves something open which a motion would show")
     return causes
-
-
-_SHOWN_BY: Final = {"element": "stiffness", "law": "stiffness", "mass": "mass_mismatch", "inertia": "mass_mismatch"}
-"""Causes by other subjects of statements: what shows the one shows the other."""
 
 
 def make_plan(machine: Machine, separate: tuple[str, str] | None = None, wanted: Sequence[str] = ()) -> MotionPlan:

@@ -1,18 +1,16 @@
-"""Figures of estimates and of a tuning, drawn without a display and without global state.
+"""Figures of estimates, drawn without a display and without global state.
 
 matplotlib is imported when a figure is made: nothing that is computed or emitted needs it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sgms_mhe.evaluation.tuning import Tuned
 from sgms_mhe.machine import OF_KIND
 from sgms_mhe.model import FreeParameter
 from sgms_mhe.model.effects import base_number
@@ -70,36 +68,6 @@ def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], 
         axis.set_ylabel(units.named(parameter.column).replace(".", "\n") + unit)
     _head(axes[0], title, columns=3)
     axes[-1].set_xlabel("time [s]")
-    return figure
-
-
-def trade_off_figure(tuned: Tuned) -> Figure:
-    """Least loss over every value of a weight that was tried, the file's and the chosen one marked."""
-    names = [name for name, tried in tuned.trials.items() if len(tried) > 1]
-    figure = blank_figure(2.6 * math.ceil(len(names) / 2))
-    axes = figure.subplots(math.ceil(len(names) / 2), 2, squeeze=False).ravel()
-    for axis, name in zip(axes, names, strict=False):
-        values = [value for value, _ in tuned.trials[name]]
-        axis.plot(values, [trial.mean for _, trial in tuned.trials[name]], "o-", color="0.4", markersize=3)
-        is_horizon, estimator = name == "horizon", tuned.machine.estimator
-        chosen = tuned.horizon if is_horizon else tuned.best.changes.get(name)
-        if chosen is not None:
-            axis.axvline(chosen, color=ESTIMATED, linewidth=1.4, label="chosen")
-        own = estimator.horizon if is_horizon else getattr(estimator.noise, name)
-        axis.axvline(own, color=NOMINAL, linewidth=1.0, linestyle="--", label="file")
-        axis.set_xscale("log")
-        # As many labels as fit: powers of ten alone may be none, their multiples too many.
-        labelled = np.unique([values[0], values[len(values) // 2], values[-1]])
-        axis.set_xticks(labelled, [f"{value:.3g}" for value in labelled])
-        axis.set_xticks([], minor=True)
-        axis.ticklabel_format(axis="y", useOffset=False)
-        axis.yaxis.set_major_locator(_drawing("matplotlib.ticker").MaxNLocator(5))
-        unit = f" [{tuned.machine.plant.units.force}]" if name == "measurement" else ""
-        axis.set_xlabel(f"{name}{unit}")
-        axis.set_ylabel("loss per update")
-        axis.legend(frameon=False, fontsize="small")
-    for axis in axes[len(names) :]:
-        axis.set_visible(False)
     return figure
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
-from sgms_mhe.model.effects import reported_name
+from sgms_mhe.model.effects import reported_name, shown_by
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, REFUSED, has_measurement, select_flags
 from sgms_mhe.support.arrays import Array, Mask
@@ -33,6 +33,8 @@ WORDS: Final[Mapping[str, str]] = {
 FAULTS: Final = (REFUSED, "doubt", "overrun", "missing")
 """Flags of updates that something is wrong with, or was."""
 
+TOLD: Final = 0.5
+"""Deviation of a parameter over that of its prior from which on a run has told of it."""
 TREND_POINTS: Final = 2048
 """Of a trend over the whole run at the most; an even number."""
 RECENT_S: Final = 20.0
@@ -124,6 +126,7 @@ class RunSummary:
         self.interval_s = machine.sampling.samples_per_update * machine.sampling.step
         self.names = tuple(p.column for p in model.parameters)
         self.nominal = np.array([p.nominal for p in model.parameters])
+        self._prior = model.prior * np.abs([p.scale for p in model.parameters])
         self.updates = self.measured = self.samples = self.missing = self.faults = 0
         self.latest: Estimates | None = None
         self.first_s = np.nan
@@ -172,16 +175,34 @@ class RunSummary:
         """RMS of measured minus estimated friction over the updates with a measurement; None without one."""
         return float(np.sqrt(self._squares / self.measured)) if self.measured else None
 
+    @property
+    def open_numbers(self) -> dict[str, str]:
+        """Motion that each parameter needs of which the run has told little beyond its prior, by their columns."""
+        if self.latest is None:
+            return {}
+        told = self.latest.std[0] <= TOLD * self._prior
+        return {name: shown_by(name) for name, enough in zip(self.names, told.tolist(), strict=True) if not enough}
+
     def state(self, remarks: Sequence[str] = ()) -> tuple[Statement, ...]:
         """Return the statements on the run: its faults, the numbers at its end, remarks on the log."""
         last, units = self.latest, self.machine.plant.units
         if last is None:
             return ()
         rule = Rule.IN_DOUBT if set(flags_of(int(last.status[0]))) & {REFUSED, "doubt"} else Rule.DETERMINED
+        opened = self.open_numbers
         return (
             Statement(Rule.FAULTY, "run", self.faults) if self.faults else Statement(Rule.FAULTLESS, "run", 0.0),
             *(
-                Statement.of_number(rule, units.named(name), float(value), float(std), units.unit(reported_name(name)))
+                replace(
+                    Statement.of_number(
+                        Rule.UNSEEN if name in opened else rule,
+                        units.named(name),
+                        float(value),
+                        float(std),
+                        units.unit(reported_name(name)),
+                    ),
+                    next=opened.get(name),
+                )
                 for name, value, std in zip(self.names, last.parameters[0], last.std[0], strict=True)
             ),
             *(

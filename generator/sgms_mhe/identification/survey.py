@@ -40,7 +40,8 @@ from sgms_mhe.support.statements import Rule, Statement
 
 FOREIGN: Final = 0.5
 """Share of the force's RMS that is left from which on a log is of no axis that these numbers describe."""
-OFFSET: Final = "constant_offset"
+MAIN: Final = {"mass": "mass", "inertia": "inertia", "coulomb": "friction", "viscous": "damping"}
+"""Numbers that decide, in words."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +138,13 @@ def _state_log(explored: Explored, logs: Sequence[Log], floor: float) -> Iterato
     counts: dict[str, float | str] = {"rate": rows.rate, "step": step, "length": units.position}
     yield Statement(Rule.NOISE, units.push, floor, unit=units.force, numbers=counts)
     own = {term.name: term for term in companion_terms(rows)}
-    if OFFSET in own and not any(term.name in own for term in final.fit.terms):
-        with_offset = fit_axis(final.view, (*final.fit.terms, own[OFFSET]), final.fit.shape, iterations=0)
-        place = with_offset.place(OFFSET).start
+    constant = next((term for term in own.values() if not np.ptp(term.columns, axis=0).any()), None)
+    if constant is not None and not any(term.name in own for term in final.fit.terms):
+        with_offset = fit_axis(final.view, (*final.fit.terms, constant), final.fit.shape, iterations=0)
+        place = with_offset.place(constant.name).start
         std = float(np.sqrt(covariance(final.view, with_offset)[place, place]))
-        about, value = f"{OFFSET}.{units.named('force_N')}", float(with_offset.coefficient(OFFSET)[0])
+        about = units.named(f"{constant.name}.{effect_definition(constant.name).parameters[0].name}")
+        value = float(with_offset.coefficient(constant.name)[0])
         if SIGMAS * std < final.fit.coulomb:
             yield Statement.of_number(Rule.NO_FORCE, about, value, std, units.force)
         else:

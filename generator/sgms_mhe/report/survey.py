@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.identification.survey import Survey
+from sgms_mhe.identification.survey import MAIN, Survey
 from sgms_mhe.report.pieces import Row, tile
 from sgms_mhe.report.units import SPACE, axis_units, plain, reading, stated
 from sgms_mhe.report.words import SIGNS, capital, join_words, sentence, title
 from sgms_mhe.support.statements import Rule, Statement, list_open
 
-MAIN: Final = {"mass": "mass", "inertia": "inertia", "coulomb": "friction", "viscous": "damping"}
-"""Numbers that decide, in words."""
+PLACES: Final = {"mass": 1, "inertia": 1, "friction": 3, "damping": 4}
+"""Of their tiles."""
 
 ABOUT: Final = (
     ("Numbers", "least squares along the measured motion, intervals of two standard deviations"),
@@ -110,8 +110,7 @@ def _tiles(found: Survey) -> list[Row]:
         if s.kind == "sign":
             tiles[0] = tile(f"Sign of the {units.push}", "right" if s.sure == "yes" else "open", s.next or "", kind)
         elif s.kind == "number" and s.about in MAIN:
-            place = 1 if s.about == units.inert else 3 if s.about == "coulomb" else 4
-            tiles[place] = tile(capital(MAIN[s.about]), value, text, kind)
+            tiles[PLACES[MAIN[s.about]]] = tile(capital(MAIN[s.about]), value, text, kind)
         elif s.kind == "number" and "." in s.about and 2 not in tiles:
             value = "none" if s.rule is Rule.NO_FORCE else value
             tiles[2] = tile(

@@ -13,10 +13,12 @@ from sgms_mhe.model.effects.catalogue import cause as cause
 from sgms_mhe.model.effects.catalogue import cause_names as cause_names
 from sgms_mhe.model.effects.catalogue import effect_definition as effect_definition
 from sgms_mhe.model.effects.catalogue import effect_names as effect_names
+from sgms_mhe.model.effects.catalogue import find_causes as find_causes
 from sgms_mhe.model.effects.catalogue import mass_effect as mass_effect
 from sgms_mhe.model.effects.catalogue import outside_sources as outside_sources
 from sgms_mhe.model.effects.catalogue import own_effects as own_effects
 from sgms_mhe.model.effects.catalogue import separating_moves as separating_moves
+from sgms_mhe.model.effects.catalogue import shown_by as shown_by
 from sgms_mhe.model.effects.causes import MOVES as MOVES
 from sgms_mhe.model.effects.causes import Move as Move
 from sgms_mhe.model.effects.causes import Simpler as Simpler

@@ -7,6 +7,7 @@ that is broken is an error where it is used and left out where all effects are.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -205,6 +206,20 @@ def _files(folder: str) -> list[Path]:
 def cause(name: str) -> CauseDefinition:
     """Return the definition of a cause for a diagnosis; KeyError if there is no such cause."""
     return base_cause(name) if name in BASE_CAUSES else effect_definition(name)
+
+
+def find_causes(text: str) -> tuple[str, ...]:
+    """Return the causes that a text names, or whose motion shows another subject that it names, each once."""
+    others = {"element": "stiffness", "law": "stiffness", "mass": "mass_mismatch", "inertia": "mass_mismatch"}
+    names = dict.fromkeys(others.get(name, name) for name in re.findall(r"[a-z_]+", text))
+    return tuple(name for name in names if name in cause_names())
+
+
+def shown_by(column: str) -> str:
+    """Return the motion that shows the number of a column of results (`stiffness_2`, `force_ripple.amplitude_N`)."""
+    base = (name for name, known in BASE_CAUSES.items() if any(number.holds(column) for number in known.numbers))
+    label = re.sub(r"_\d+$", "", column.partition(".")[0])  # the second effect of a name has its number behind it
+    return cause(next(base, label)).excitation.text
 
 
 def separating_moves(first: str, second: str) -> tuple[str, ...]:
