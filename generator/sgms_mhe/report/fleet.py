@@ -20,6 +20,8 @@ from sgms_mhe.report.words import SIGNS, base_words, capital
 from sgms_mhe.support.numbers import SIGMAS
 from sgms_mhe.support.statements import Rule, Statement
 
+LEAST_LIFE: Final = 5
+"""Dated logs from which on a number is judged over all of them."""
 SHOWN_OPEN: Final = 8
 """Axes whose plots are not folded away, where none has left its band."""
 _ORIGINS: Final = {"own": "own first logs", "fleet": "other axes"}
@@ -179,7 +181,7 @@ def fleet_content(verb: str, table: str, logs: Sequence[FleetLog], courses: Sequ
         "description": "",
         "source": table,
         "badge": _badge(logs, failed, gone, doubts, unjudged),
-        "headline": _headline(len(logs), len(failed), gone, doubts, unjudged),
+        "headline": _headline(len(logs), len(failed), gone, doubts, unjudged, none=new == len(axes)),
         "limits": None,
         "verb": verb,
         "tiles": _tiles(logs, courses, gone, doubts),
@@ -250,10 +252,10 @@ def _badge(
     return {"style": style, "sign": SIGNS[style], "name": name}
 
 
-def _headline(logs: int, failed: int, gone: Sequence[str], doubts: str, unjudged: str) -> str:
+def _headline(logs: int, failed: int, gone: Sequence[str], doubts: str, unjudged: str, *, none: bool) -> str:
     done = f"{logs - failed} of {logs} logs done" if failed else f"All {logs} logs done"
     shown = ", ".join(gone[:3]) + (f" and {len(gone) - 3} more" if len(gone) > 3 else "")
-    out = f"{shown} {'stands' if len(gone) == 1 else 'stand'} out" if gone else "no axis stands out"
+    out = f"{shown} {'stands' if len(gone) == 1 else 'stand'} out" if gone else "" if none else "no axis stands out"
     return "; ".join(part for part in (done, doubts, out, unjudged) if part)
 
 
@@ -262,7 +264,7 @@ def _tiles(
 ) -> list[dict[str, str]]:
     failed, axes = [log for log in logs if log.failure], {log.axis for log in logs}
     left, judged = sum(c.left for c in courses), sum(p.band is not None for c in courses for p in c.points)
-    lives = sum(c.judged for c in courses)
+    lives = sum(sum(p.time is not None for p in c.points) >= LEAST_LIFE for c in courses)
     count, _, each = doubts.partition(" of ")
     chance = f"about {0.01 * judged:.1g} of them outside by chance" if judged else "too few logs or axes for bands"
     reasons = "each with its reason below" if failed else "every row has its result"

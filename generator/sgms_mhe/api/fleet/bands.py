@@ -26,6 +26,7 @@ from scipy.stats import t as student
 from sgms_mhe.api.fleet.table import Row
 from sgms_mhe.api.fleet.work import FleetNumber, Result
 from sgms_mhe.report import Band, FleetCourse, FleetPoint, NumberChange, NumberTrend
+from sgms_mhe.report.fleet import LEAST_LIFE
 from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.numbers import SIGMAS
 
@@ -38,7 +39,6 @@ ALARM: Final = 0.01
 LEAST_SIDE: Final = 2
 """Logs on either side of a change: one alone is for its band to judge."""
 LEAST_OWN: Final = 3
-LEAST_TREND: Final = 5
 LEAST_FLEET: Final = 5
 DAY_S: Final = 86_400.0
 _TINY: Final = np.finfo(float).tiny
@@ -82,7 +82,7 @@ def _judge_life(points: Sequence[FleetPoint]) -> tuple[NumberTrend | None, tuple
     """How steadily a number moves over its dated logs, or where it changes; neither: it does not, or few logs tell."""
     dated = [point for point in points if point.time is not None]
     times, values = (np.array([getattr(point, name) for point in dated], dtype=float) for name in ("time", "value"))
-    if len(times) < LEAST_TREND or np.ptp(times) == 0.0:
+    if len(times) < LEAST_LIFE or np.ptp(times) == 0.0:
         return None, ()
     days, count = (times - times[0]) / DAY_S, len(times)
     stated = _rms([point.std for point in dated])
@@ -128,7 +128,7 @@ def find_steps(values: Array, stated: float) -> list[int]:
         stated: standard deviation that a value has at least.
     """
     count = len(values)
-    if count < LEAST_TREND:
+    if count < LEAST_LIFE:
         return []
     inner = range(LEAST_SIDE, count - LEAST_SIDE + 1)
     start, end = np.array([(i, j) for i in inner for j in (*inner, count) if j - i >= LEAST_SIDE]).T
