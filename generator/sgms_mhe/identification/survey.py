@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.identification.description import KNOWN, check_slides, frictionless_error
+from sgms_mhe.identification.description import ELASTIC, KNOWN, check_slides, frictionless_error
 from sgms_mhe.identification.final_fit import Known, drop_empty, drop_traces, join_alike, state_numbers
 from sgms_mhe.identification.fits import covariance, fit_axis
 from sgms_mhe.identification.identify import (
@@ -52,7 +52,8 @@ class Survey:
         explored: the fit, as an identification goes on from.
         wanted: request that it answers.
         logs: in the order of their content.
-        numbers: of the axis, with intervals; a mass that the motion does not show is NaN.
+        numbers: of the axis, with intervals, but those of elements, which depend on a law that nothing here decides;
+            a mass that the motion does not show is NaN.
         others: statements on sign, noise, what is left and what is open.
     """
 
@@ -98,7 +99,8 @@ def survey(logs: Sequence[Log], wanted: Wanted, report: Progress) -> Survey:
     except InputError as error:
         raise error.add_notes(records.warnings) from None
     numbers, others, floor = state_explored(explored, ordered, wanted)
-    return Survey(explored, wanted, ordered, numbers, (*_state_log(explored, ordered, floor), *others))
+    shown = tuple(n for n in numbers if n.name.rstrip("_0123456789") not in ELASTIC)
+    return Survey(explored, wanted, ordered, shown, (*_state_log(explored, ordered, floor), *others))
 
 
 def _fit_start(begun: Begun, known: Known) -> Explored:
@@ -114,7 +116,7 @@ def _fit_start(begun: Begun, known: Known) -> Explored:
     if not shows_friction:
         raise frictionless_error(names)
     fit = join_alike(view, drop_traces(begun.views, drop_empty(view, fit)))
-    final = state_numbers(view, fit, rivals, known)
+    final = state_numbers(view, fit, rivals, known, law_decided=False)
     found = ChosenModel(final.fit, final.fit, decided=False, counts={len(final.fit.levels): final.fit.cross_rms})
     measured = measure_motion(records, found)
     beside = [term.name for term in companion_terms(view.rows)]
