@@ -122,10 +122,9 @@ def choose_knots(speed: Array, curves: Array, points: int) -> Index:
     n = len(speed)
     cost = np.full((n, n), np.inf)
     for i in range(n - 1):
-        for j in range(i + 1, n):
-            share = (speed[i : j + 1] - speed[i]) / (speed[j] - speed[i])
-            chord = curves[:, i, None] + share * (curves[:, j] - curves[:, i])[:, None]
-            cost[i, j] = ((curves[:, i : j + 1] - chord) ** 2).sum()
+        ahead, rise = speed[i + 1 :] - speed[i], curves[:, i + 1 :] - curves[:, i, None]
+        off = rise[:, None] - rise[:, :, None] * (ahead / ahead[:, None])  # of each sample, by where the chord ends
+        cost[i, i + 1 :] = np.tril(off**2).sum(axis=(0, 2))
     least, before = cost[0], []
     for _ in range(points - 2):
         through = least[:, None] + cost
