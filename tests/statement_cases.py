@@ -68,9 +68,8 @@ def check_outputs(found: Diagnosis, folder: Path) -> None:
     content = json.loads((write_diagnosis(found, folder) / "diagnosis.json").read_text())
     entries, statements = check_statements(content), found.statements
     lines = [line.strip() for line in _text(found, folder, None, None).splitlines()]
-    page = " ".join(
-        re.sub(r"<script.*?</script>|<style.*?</style>|<[^>]+>", " ", _page(found, folder), flags=re.S).split()
-    )
+    source = unescape(write_report(found, folder).read_text())
+    page = " ".join(re.sub(r"<script.*?</script>|<style.*?</style>|<[^>]+>", " ", source, flags=re.S).split())
     comments, html = read_comments(found.extended_file(folder) or ""), unescape(found._repr_html_())
     for entry, s in zip(entries, statements, strict=True):
         assert (entry["sure"], entry["about"]) == (s.sure, s.about)
@@ -83,12 +82,8 @@ def check_outputs(found: Diagnosis, folder: Path) -> None:
     assert content["summary"] == found.summary == statements[0].sentence and lines[0].endswith(found.summary)
     assert content["limits"] == [s.sentence for s in list_open(statements)]
     _check_causes(found, content, page)
-    green = 'class="pill certain"' in _page(found, folder)
+    green = 'class="pill certain"' in source
     assert green == (statements[0].sure == "yes" and not content["limits"])
-
-
-def _page(found: Diagnosis, folder: Path) -> str:
-    return unescape(write_report(found, folder).read_text())
 
 
 def _check_causes(found: Diagnosis, content: Mapping[str, Any], page: str) -> None:
