@@ -20,6 +20,7 @@ from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, pla
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import _thinned
 from sgms_mhe.diagnosis.models import make_model
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, smooth_law
 from sgms_mhe.diagnosis.parts import RefutedNumber, Rms
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
 from sgms_mhe.host.compiled import CompiledModel
@@ -170,7 +171,7 @@ def test_elements_that_break_away_within_a_sample_cost_no_more_than_it_resolves(
         assert np.max(np.abs(ours - theirs)) < 1e-4 * found.coulomb
 
 
-def test_other_law_of_elements_that_switch_costs_no_more_than_a_sample_tells() -> None:
+def test_smooth_elements_for_ones_that_switch_cost_no_more_than_a_sample_tells() -> None:
     """A servo whose level falls up to a high speed, as identified: an element of 3 urad and a gate at 0.6 rad/s."""
     friction = {"law": "switching", "stiffness": [5764.0, 5.0], "fraction": [0.9, 0.1], "coulomb": 0.019}
     friction |= {"micro_viscous": [0.0, 0.0], "stribeck_ratio": 5.0, "stribeck_velocity": 1.7}
@@ -181,6 +182,11 @@ def test_other_law_of_elements_that_switch_costs_no_more_than_a_sample_tells() -
     distances = found.coulomb * np.array(found.fraction) / np.array(found.stiffness)
     assert found.law == "sgms" and found.stiffness[1] == 5.0
     assert distances[0] == pytest.approx(least_distance("sgms", Stribeck(5.0, 1.7), 1000.0))
+    lag = [CandidateEffect("micro_viscous", {})]
+    sharp = smooth_law(own.machine, lag)
+    assert sharp.friction.stiffness == found.stiffness and sharp.friction.smoothing.lambda_ > 100.0
+    model, stiff = own.model(lag), own.start_from({"stiffness_1": 5764.0})  # more than their steps are chosen for
+    assert model.columns[0].si(float(stiff.start(model, lag)[0])) == pytest.approx(10.0 * found.stiffness[0])
     written = override_machine(file, {"friction": law_changes(file, other.machine)})
     assert written.friction == found, "the extended machine has not the elements that were fitted"
 

@@ -1,6 +1,7 @@
 """From a machine file to the machine it describes: effects from their catalogue, the integrator by the friction law."""
 
 from sgms_mhe.configuration.laws import law_changes as law_changes
+from sgms_mhe.configuration.laws import smooth_elements as smooth_elements
 from sgms_mhe.configuration.laws import switch_law as switch_law
 from sgms_mhe.configuration.resolution import G_N as G_N
 from sgms_mhe.configuration.resolution import carry_load as carry_load

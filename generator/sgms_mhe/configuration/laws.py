@@ -24,10 +24,7 @@ def switch_law(machine: Machine, least: float = 0.0) -> Machine | None:
         None where an effect of the machine does not stand with the law.
     """
     if machine.friction.switches:
-        levels = [share * machine.friction.coulomb for share in machine.friction.fraction]
-        pairs = zip(levels, machine.friction.stiffness, strict=True)
-        stiffness = [min(own, level / least) if least > 0.0 else own for level, own in pairs]
-        return override_machine(machine, {"friction": {"law": "sgms", "stiffness": stiffness}})
+        return smooth_elements(machine, least)
     if any(effect_definition(effect.name).smooth_only for effect in machine.effects):
         return None
     # The damping of an element would jump where it breaks away.
@@ -36,6 +33,14 @@ def switch_law(machine: Machine, least: float = 0.0) -> Machine | None:
         return override_machine(machine, {"friction": changes})
     except InputError:  # an effect of another package, or an integrator that the file insists on
         return None
+
+
+def smooth_elements(machine: Machine, least: float, **changes: Any) -> Machine:
+    """The machine with smooth elements and changes of [friction]; `least` as of `switch_law`."""
+    levels = [share * machine.friction.coulomb for share in machine.friction.fraction]
+    pairs = zip(levels, machine.friction.stiffness, strict=True)
+    stiffness = [min(own, level / least) if least > 0.0 else own for level, own in pairs]
+    return override_machine(machine, {"friction": {"law": "sgms", "stiffness": stiffness, **changes}})
 
 
 def law_changes(machine: Machine, other: Machine) -> dict[str, Any]:

@@ -16,8 +16,7 @@ from sgms_mhe.diagnosis.candidates import stiffness_start, stribeck_start
 from sgms_mhe.diagnosis.criteria import EQUAL_T, Criteria
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, machine_groups
-from sgms_mhe.identification.elements import Stribeck, least_distance
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, least_smooth_distance, machine_groups
 from sgms_mhe.identification.search import element_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
@@ -140,13 +139,8 @@ def _thinned(machine: Machine, recording: Recording, floor: float) -> list[Subje
 
 
 def other_law(machine: Machine) -> Machine | None:
-    """Return the machine with the other law, if it has one; smooth elements that differ between two samples.
-
-    Elements that switch may break away within any distance. As smooth ones they would take for ever below the gate.
-    """
-    friction = machine.friction
-    rise = Stribeck(friction.stribeck_ratio, friction.stribeck_velocity)
-    return switch_law(machine, least_distance("sgms", rise, machine.sampling.rate))
+    """Return the machine with the other law, if it has one; smooth elements that differ between two samples."""
+    return switch_law(machine, least_smooth_distance(machine))
 
 
 def _align_nominal(subject: Subject) -> Subject | None:

@@ -352,7 +352,7 @@ def compile_once(structure: ModelStructure) -> CompiledFit:
     columns = []
     for free in code.model.parameters:
         label, _, parameter = free.column.partition(".")
-        column = effect_column(groups[label], parameter, free) if parameter else base_column(free, zero)
+        column = effect_column(groups[label], parameter, free) if parameter else base_column(free, zero, machine)
         columns.append(column)
     return CompiledFit(code, tuple(columns))
 

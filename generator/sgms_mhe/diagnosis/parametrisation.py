@@ -15,9 +15,10 @@ from typing import Any, Final, Literal, Self
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.configuration import make_machine, override_machine, smooth_elements
 from sgms_mhe.host.evaluation import Evaluation
 from sgms_mhe.host.packages import SYMBOLIC
+from sgms_mhe.identification.elements import Stribeck, least_distance
 from sgms_mhe.machine import CLOSED_FORMS, Machine, ResolvedEffect
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter
 from sgms_mhe.model.building import find_read, plain_force
@@ -46,6 +47,8 @@ sample old on average; and a margin."""
 SHARP_SMOOTHING: Final = {"zeta": 0.985, "lambda": 233.0, "gamma": 233.0}
 """Elements that slip almost at once, for effects that do not stand with switching ones: lambda (1 - zeta) = 3.5, as in
 the default smoothing; with zeta = 0.995 derivatives outgrow the steps of a fit."""
+STIFFER: Final = 10.0
+"""Stiffness of those, over the one that their steps are chosen for, up to which the steps hold."""
 MACHINE_STEP: Final = 0.5
 """Change of the machine's numbers in a step, at most [nominal or present value]: derivatives hold no farther."""
 
@@ -331,10 +334,23 @@ def find_plain_forces(machine: Machine, structures: Sequence[ModelStructure]) ->
 
 
 def smooth_law(machine: Machine, effects: Sequence[CandidateEffect]) -> Machine:
-    """The machine with a law that effects can stand with: for elements that switch, ones that slip almost at once."""
+    """The machine with a law that effects can stand with: for elements that switch, ones that slip almost at once.
+
+    They are no stiffer than a sample tells (`least_smooth_distance`).
+    """
     if not machine.friction.switches or not any(effect_definition(effect.name).smooth_only for effect in effects):
         return machine
-    return override_machine(machine, {"friction": {"law": "sgms", "smoothing": SHARP_SMOOTHING}})
+    return smooth_elements(machine, least_smooth_distance(machine), smoothing=SHARP_SMOOTHING)
+
+
+def least_smooth_distance(machine: Machine) -> float:
+    """Return the distance [m] below which elements that switch do not break away as smooth ones.
+
+    As those that switch they may within any. Smooth ones would take for ever below the gate.
+    """
+    friction = machine.friction
+    rise = Stribeck(friction.stribeck_ratio, friction.stribeck_velocity)
+    return least_distance("sgms", rise, machine.sampling.rate)
 
 
 def delay_column(machine: Machine, name: str, group: ParameterGroup, nominal: Mapping[str, float]) -> JacobianColumn:
@@ -370,9 +386,10 @@ def effect_column(group: ParameterGroup, parameter: str, free: FreeParameter) ->
     )
 
 
-def base_column(free: FreeParameter, zero: Mapping[str, float]) -> JacobianColumn:
-    """Return the column of a number of the base model; `zero`: names of those that the machine file states as 0."""
+def base_column(free: FreeParameter, zero: Mapping[str, float], machine: Machine) -> JacobianColumn:
+    """Return the column of a number of the base model; `zero`: names of those that the machine's file states as 0."""
     cause, number = next((c, n) for c in BASE_CAUSES.values() for n in c.numbers if n.name == free.name)
+    is_sharp = not machine.friction.switches and machine.friction.smoothed.lambda_ >= SHARP_SMOOTHING["lambda"]
     return JacobianColumn(
         group=ParameterGroup.base(cause.name),
         name=free.column,
@@ -380,7 +397,7 @@ def base_column(free: FreeParameter, zero: Mapping[str, float]) -> JacobianColum
         scale=free.scale,
         machine_theta=0.0 if free.name in zero else 1.0,
         lower=number.lower,
-        upper=number.upper,
+        upper=STIFFER if is_sharp and number.array and not number.shares else number.upper,
         most=number.most,
     )
 
