@@ -308,32 +308,15 @@ def _drop_delays(machine: Machine) -> Machine:
     return override_machine(drop_bounds(machine), {"effects": [effect.entry(units) for effect in kept]})
 
 
-class _Waiting:
-    """Locks of structures: a thread that asks for one while another thread compiles it waits."""
-
-    def __init__(self) -> None:
-        self._guard = threading.Lock()
-        self._locks: dict[ModelStructure, threading.Lock] = {}
-
-    def of(self, structure: ModelStructure) -> threading.Lock:
-        """Return the lock to hold while asking for it."""
-        with self._guard:
-            return self._locks.setdefault(structure, threading.Lock())
-
-    def done(self, structure: ModelStructure) -> None:
-        """It is compiled, and whoever asks from now on finds it."""
-        with self._guard:
-            self._locks.pop(structure, None)
-
-
-_waiting = _Waiting()
+_compiling: Final[dict[ModelStructure, threading.Lock]] = {}
+"""Locks of structures: a thread that asks for one while another thread compiles it waits."""
 
 
 def compile_structure(structure: ModelStructure) -> CompiledFit:
     """The compiled model of a structure, emitted and loaded once, by whichever threads it is asked for."""
-    with _waiting.of(structure):
+    with _compiling.setdefault(structure, threading.Lock()):  # of a dictionary one operation each: no thread between
         compiled = compile_once(structure)
-    _waiting.done(structure)
+    _compiling.pop(structure, None)
     return compiled
 
 
