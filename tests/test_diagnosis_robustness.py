@@ -22,7 +22,7 @@ from sgms_bench.diagnosis.causes import Hidden
 from sgms_bench.diagnosis.draws import Draw, machine_of, simulate_draw
 from sgms_mhe.configuration import load_machine, override_machine, switch_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis.causes import SIGMAS, _is_echo, _is_imitation, is_confirmed
+from sgms_mhe.diagnosis.causes import _is_echo, _is_imitation, is_confirmed
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import fit_chosen, make_laws
 from sgms_mhe.diagnosis.models import CompiledFit, FitError, make_model
@@ -39,6 +39,7 @@ from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.excerpt import make_excerpt
 from sgms_mhe.recordings.recording import Recording, count_spanning, prepare
 from sgms_mhe.signals.logs import Log, write_log
+from sgms_mhe.support.numbers import SIGMAS
 
 Effects = Sequence[tuple[str, Mapping[str, float]]]
 

@@ -16,20 +16,17 @@ from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.recordings.evidence import largest_force, misread_forces
-from sgms_mhe.recordings.least_squares import RIDGE, TINY, solve_box
-from sgms_mhe.recordings.recording import Recording, reduce_signals
+from sgms_mhe.recordings.least_squares import RIDGE, solve_box
+from sgms_mhe.recordings.recording import RATE_MAX, Recording, reduce_signals
 from sgms_mhe.recordings.series import Shift, row_means
 from sgms_mhe.signals.chain import Signals, apply_chain
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.arrays import Array
+from sgms_mhe.support.arrays import TINY, Array
 from sgms_mhe.support.parallel import beside, run_parallel
 
 AT_LIMIT: Final = 1e-6
 HOLD_SNAP: Final = 1.5
 """Of h^2 / 12: a force that is held moves by the mean of two samples, low by h^2 / 8 between them."""
-SEARCH_RATE: Final = 1000.0
-"""Steps of a search per second, at least, as many samples sharing one as that allows [Hz]: the rate of the rows;
-alignment takes out what a longer step changes."""
 CUTOFF: Final = 0.4  # of the rate: a low-pass that a machine file may have at it; the signals passed theirs already
 LOWEST: Final = 1e-3  # of the rate: the same for the lowest one
 FASTEST: Final = 1e6  # Hz, as often as a machine file may ask for updates; what such a step does shows nowhere
@@ -75,9 +72,12 @@ def decimate(subject: Subject) -> Subject:
 
 
 def _samples_per_step(recording: Recording) -> int:
-    """Return the samples that share a step: the most, dividing those of a row, that keep at least SEARCH_RATE."""
+    """Return the samples that share a step: the most, dividing those of a row, that keep at least RATE_MAX.
+
+    Alignment takes out what a longer step changes.
+    """
     rate, factor = recording.machine.sampling.rate, recording.factor
-    return max(k for k in range(1, factor + 1) if k == 1 or (factor % k == 0 and rate / k >= SEARCH_RATE))
+    return max(k for k in range(1, factor + 1) if k == 1 or (factor % k == 0 and rate / k >= RATE_MAX))
 
 
 def align(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:

@@ -18,7 +18,7 @@ from sgms_mhe.diagnosis.parts import Cause, PlainFriction, RefutedNumber
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.identification.description import identified_effects
 from sgms_mhe.identification.elements import NO_RISE, SLOW_STEP, least_distance
-from sgms_mhe.identification.final_fit import contradicts_mass
+from sgms_mhe.identification.final_fit import CERTAIN, contradicts_mass
 from sgms_mhe.identification.fits import NumberEstimate
 from sgms_mhe.identification.identify import Explored, explore_recording
 from sgms_mhe.identification.search import LEAST_SHARE, element_numbers
@@ -34,8 +34,6 @@ from sgms_mhe.support.errors import InputError
 ROUGH: Final = 2.0
 """Distance of a file's numbers from those of the record from which on the file is rough, see `distance` [1]: a factor
 of e in two of them, or of e^2 in one. A single number that is wrong by less is a cause."""
-SIGMAS: Final = 3.0
-"""Difference from the record's number by which a file's is refuted [standard deviations]."""
 STEP: Final = 1e-6
 """Step of a scaled number by which a derivative is taken [1]."""
 BREAK_AWAY: Final = "break_away_m"
@@ -245,7 +243,7 @@ def compare_numbers(file: Machine, start: RecordStart, final: FinalFit, fit: Fit
 
 def list_refuted(numbers: Sequence[RefutedNumber]) -> tuple[RefutedNumber, ...]:
     """Return the numbers that differ significantly from the record's."""
-    return tuple(n for n in numbers if n.std > 0.0 and abs(n.record - n.file) > SIGMAS * n.std)
+    return tuple(n for n in numbers if n.std > 0.0 and abs(n.record - n.file) > CERTAIN * n.std)
 
 
 def _break_away_of_fit(final: FinalFit, fit: Fit, cov: Array, stated: float) -> RefutedNumber:

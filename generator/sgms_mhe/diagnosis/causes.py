@@ -27,10 +27,8 @@ from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import gain_force, gain_interval, inconstancy
 from sgms_mhe.support.decisions import log_decision
+from sgms_mhe.support.numbers import SIGMAS
 
-SIGMAS: Final = 2.0
-"""Difference from none, or from the machine file, that a size must have [standard deviations]: 95 %, as the interval of
-its gain."""
 CERTAIN_SIGMAS: Final = 10.0
 """The same of a size that is certain, whatever the interval of its gain, where its cause leaves nothing [standard
 deviations]: what acts in a few blocks alone may be in none of those that the interval draws."""

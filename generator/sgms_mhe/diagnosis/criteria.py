@@ -18,6 +18,7 @@ from sgms_mhe.machine import DiagnosisTable, Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, Measure, cause, effect_definition, effect_names
 from sgms_mhe.model.effects.search import Step
 from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.evidence import EQUAL_T as EQUAL_T
 from sgms_mhe.recordings.evidence import cross_loss, gain_force
 from sgms_mhe.recordings.excitation import in_step
 from sgms_mhe.support.arrays import Array
@@ -53,10 +54,11 @@ EQUAL_EXCESS: Final = 0.25
 """RMS by which two candidates for a place are equals [gain that matters]: it does not matter."""
 MOST_ALIKE: Final = 2
 """Effects of one name, at most [1]: more sines are the Fourier series of something else."""
+SMALL_SHARE: Final = 0.15
+"""RMS that may be left of a force that is explained, and that a rival may leave more where t does not tell the two
+apart or it does not matter [of that force]: 98 % of the power is explained."""
 SAME_FORCE: Final = 0.985
 """Correlation from which two candidates make one force [1]: the one with fewer numbers is refitted."""
-EQUAL_T: Final = 2.5
-"""T over blocks up to which two fits are equally good [1]: two-sided one percent."""
 
 
 @dataclass(frozen=True)

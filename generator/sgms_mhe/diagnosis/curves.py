@@ -12,14 +12,14 @@ from dataclasses import replace
 from functools import partial
 
 from sgms_mhe.diagnosis.candidates import make_motion
-from sgms_mhe.diagnosis.criteria import EQUAL_T, Criteria, is_ruled_out, make_effect
+from sgms_mhe.diagnosis.criteria import Criteria, is_ruled_out, make_effect
 from sgms_mhe.diagnosis.fits import Fit, Subject, try_fit
 from sgms_mhe.diagnosis.proposals import Residual, propose
 from sgms_mhe.diagnosis.structure import leaves_curve
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.effects.motion import shift_to_sample
 from sgms_mhe.model.effects.search import CurveColumns
-from sgms_mhe.recordings.evidence import difference_statistic
+from sgms_mhe.recordings.evidence import EQUAL_T, difference_statistic
 from sgms_mhe.support.decisions import log_decision
 
 

@@ -25,7 +25,6 @@ from sgms_mhe.support.arrays import Array, Complex
 from sgms_mhe.support.parallel import run_parallel
 from sgms_mhe.support.statements import Rule, Statement
 
-TWO_PI: Final = 2.0 * math.pi
 BINS_PER_PERIOD: Final = 6.0
 SINGULAR: Final = 1e-5  # of its square: the least determinant that two columns are told apart by
 AT_A_TIME: Final = 300_000  # samples that are transformed at a time; bounds memory
@@ -67,7 +66,7 @@ def list_smoothed(recording: Recording, causes: Iterable[Cause]) -> tuple[Statem
             continue
         period = cause.parameters[kind.period]
         frequency = np.array([period]) if kind.coordinate == "time" else speed / period
-        angle = TWO_PI * np.minimum(frequency / sampling.rate, 0.5)
+        angle = math.tau * np.minimum(frequency / sampling.rate, 0.5)
         z = np.exp(-1j * angle)  # of one sample
         lowpass = (b0 + b1 * z + b2 * z**2) / (1.0 + a1 * z + a2 * z**2)
         passed = float(np.abs(np.mean(lowpass**2 * z * np.exp(1j * angle * delay * sampling.rate))))
@@ -95,12 +94,12 @@ class _Sine:
 
     def factors(self, kappa: Array) -> list[Complex]:
         """c_j of wavenumbers (n) in periods per unit of x."""
-        return list(self.kind.factors(self.seen.motion, TWO_PI * kappa))
+        return list(self.kind.factors(self.seen.motion, math.tau * kappa))
 
     def columns(self, kappa: float) -> Array:
         """Sine and cosine of a wavenumber (rows used, 2)."""
         turns = kappa * self.x
-        angle = TWO_PI * (turns - np.floor(turns))  # functions of small angles take half as long
+        angle = math.tau * (turns - np.floor(turns))  # functions of small angles take half as long
         sine, cosine = np.sin(angle), np.cos(angle)
         found = np.zeros((len(angle), 2))
         for factor, w in zip(self.factors(np.array([kappa])), self.weights, strict=True):

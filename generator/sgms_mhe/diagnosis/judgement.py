@@ -15,7 +15,7 @@ from sgms_mhe.diagnosis.causes import (
     refit_numbers,
     restore_undetermined,
 )
-from sgms_mhe.diagnosis.criteria import material_force, small_force
+from sgms_mhe.diagnosis.criteria import SMALL_SHARE, material_force, small_force
 from sgms_mhe.diagnosis.final_fit import ALLOWED_ENCODER, FinalFit
 from sgms_mhe.diagnosis.fits import Fit, fit_model
 from sgms_mhe.diagnosis.parametrisation import ParameterGroup, machine_groups
@@ -32,9 +32,6 @@ from sgms_mhe.support.decisions import log_decision
 ALLOWED_NOISE: Final = 0.5
 """RMS beyond noise that a complete explanation may leave; the largest of the three counts [noise floor]: the floor
 itself is an estimate."""
-ALLOWED_SHARE: Final = 0.15
-"""RMS beyond noise that a complete explanation may leave; the largest of the three counts [RMS beyond noise before]: 98
-% of the power is explained."""
 MOST_WITHOUT_CAUSES: Final = 3.0
 """RMS beyond noise that a machine without causes may leave, whatever the three before it say [noise floor]: what leaves
 more is not adequate."""
@@ -188,7 +185,7 @@ def allowed_excess(
     """
     level = machine.friction.coulomb
     noise = floor * (ALLOWED_ENCODER if encoder**2 > MOSTLY * floor**2 else ALLOWED_NOISE)
-    wanted = max(machine.diagnosis.unexplained * level, noise, ALLOWED_SHARE * before)
+    wanted = max(machine.diagnosis.unexplained * level, noise, SMALL_SHARE * before)
     most = MOST_WITH_CAUSES if causes else MOST_WITHOUT_CAUSES
     mixed = len({group.is_candidate for group in causes}) > 1
     least = small_force(machine) if mixed else LEAST_ALLOWED * level

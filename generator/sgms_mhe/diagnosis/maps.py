@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.diagnosis.harmonics import CUTOFF_BAND, PITCH_BAND, search_harmonic
+from sgms_mhe.diagnosis.harmonics import CUTOFF_BAND, PITCH_BAND, STEP, search_harmonic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, nearest_peak, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
@@ -24,7 +24,6 @@ from sgms_mhe.recordings.series import bin_sums
 from sgms_mhe.support.arrays import Array, Index, Mask
 from sgms_mhe.support.parallel import run_parallel
 
-TWO_PI: Final = 2.0 * math.pi
 BINS_PER_PERIOD: Final = 16  # of the shortest: a bin then loses 0.6 % of a sine
 MOST_SINES: Final = 32
 LARGEST_PART: Final = 12  # the strongest sine's order in the map, at most, where no turn says what the period is
@@ -37,7 +36,6 @@ RELATED_REFINED: Final = 8
 STRONGEST: Final = 3  # of a map's sines: those that may be of other orders at the right period
 PASSES: Final = 1.6  # of a period that a record must hold: of less a sine is a trend, told by nothing but itself
 NOTHING: Final = 1e-8  # of a column's square: what must be left of it beside the others
-STEP: Final = 0.25  # of the resolution that the travel gives
 ENTRY_GAIN: Final = 0.4
 """RMS that an entry of an effect's lists must gain on unseen folds [gain that matters]: a sine of a map that gains less
 is none."""
@@ -289,7 +287,7 @@ def _periods(definition: EffectDefinition, search: _Search) -> list[float]:
     periods = [p.parameters[kind.sine.period] * k for p in sines for k in range(1, LARGEST_PART + 1)]
     periods = [p for p in (*periods, search.travel, kind.room * search.travel) if p <= search.longest]
     if seen.recording.machine.plant.kind == "rotary":
-        periods += [TWO_PI]
+        periods += [math.tau]
     kept: list[float] = []
     for period in sorted(periods):
         if not kept or period > (1.0 + SAME_PERIOD) * kept[-1]:
@@ -299,7 +297,7 @@ def _periods(definition: EffectDefinition, search: _Search) -> list[float]:
 
 def _columns(x: Array, period: float, orders: Sequence[int]) -> Array:
     """Sine and cosine of every order (rows, 2 orders)."""
-    angle = TWO_PI / period * x
+    angle = math.tau / period * x
     return np.column_stack([f(order * angle) for order in orders for f in (np.sin, np.cos)])
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -14,9 +14,9 @@ from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import (
     CLOSE,
     EQUAL_EXCESS,
-    EQUAL_T,
     PROMISING,
     SAME_FORCE,
+    SMALL_SHARE,
     Criteria,
     Ranked,
     drop_duplicates,
@@ -32,15 +32,12 @@ from sgms_mhe.diagnosis.parts import Score
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, gain_force, score_test
+from sgms_mhe.recordings.evidence import EQUAL_T, difference_statistic, gain_force, score_test
 from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel, workers
 
 Judgement = Literal["better", "rival", "worse", "untried"]
-EQUAL_SHARE: Final = 0.15
-"""RMS that a rival may leave more where t does not tell the two apart, or it does not matter [gain of the cause]: it
-explains 98 % of the power as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,7 +293,7 @@ def _compare(
         return "worse", max(0.0, excess)  # more numbers and no better: it only imitates
     # The start and the stop pull at the numbers of what is told by them alone.
     same = has_same_clock or t < EQUAL_T or excess < CLOSE * material
-    if as_good or (excess < EQUAL_SHARE * place.gain and same):
+    if as_good or (excess < SMALL_SHARE * place.gain and same):
         return "rival", excess
     return "worse", excess
 

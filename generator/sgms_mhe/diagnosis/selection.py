@@ -12,7 +12,6 @@ from sgms_mhe.diagnosis.alignment import find_encoder_force
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import (
     CLOSE,
-    EQUAL_T,
     GAIN_SHARE,
     PROMISING,
     SAME_FORCE,
@@ -34,7 +33,7 @@ from sgms_mhe.diagnosis.reduction import keep_necessary, prune_effects
 from sgms_mhe.diagnosis.rivals import Contest, Selection, cause_significance, find_rivals
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import cause, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, noise_floor
+from sgms_mhe.recordings.evidence import EQUAL_T, difference_statistic, noise_floor
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 

@@ -18,9 +18,9 @@ from sgms_mhe.diagnosis.fits import Fit, Subject, prior_information
 from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.encoder import encoder_noise
-from sgms_mhe.recordings.evidence import TINY, UNSEEN_ERROR, invert_information, robust_covariance
+from sgms_mhe.recordings.evidence import UNSEEN_ERROR, invert_information, robust_covariance
 from sgms_mhe.recordings.recording import Recording, Runs
-from sgms_mhe.support.arrays import Array, Mask
+from sgms_mhe.support.arrays import TINY, Array, Mask
 from sgms_mhe.support.parallel import run_parallel
 
 NOISY_CACHED: Final = 2  # records with more noise: that of the rows' rate, and the full one

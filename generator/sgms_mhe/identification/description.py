@@ -21,12 +21,13 @@ from sgms_mhe.identification.fits import (
 )
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import ChosenModel, is_better
+from sgms_mhe.identification.spectrum import LARGEST
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters, is_level
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition, separating_moves
 from sgms_mhe.recordings.excitation import find_speeds_apart
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.numbers import interval
+from sgms_mhe.support.numbers import SIGMAS, interval
 from sgms_mhe.support.statements import Rule, Statement
 
 KNOWN: Final = 0.25
@@ -34,16 +35,10 @@ KNOWN: Final = 0.25
 UNTOLD: Final = 10.0
 """Two deviations over the distance to a number's only limit from which on not even its order is known."""
 ROUNDING: Final = 1e-12
-RISE_SURE: Final = 2.0
-"""Standard deviations above its value that a Stribeck velocity may have."""
-SLID: Final = 0.25
-"""Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
 MISFIT: Final = 2.0
 """Noise floors of a residual beyond which three quarters of its power are no noise."""
 OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
-SURE: Final = 2.0
-"""Standard deviations below its value that a stiffness surely has."""
 CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "coulomb": ("coulomb",),
     "viscous": ("viscous",),
@@ -76,7 +71,7 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
     if not (fit.coulomb > 0.0 and is_better(hold_shape(view, fit), bare)):
         raise frictionless_error(source)
     travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position
-    slides = fit.shape.distances <= SLID * travel
+    slides = fit.shape.distances <= LARGEST * travel
     sliding, elastic = float(fit.levels[slides].sum()), 0.0
     stiffness = [final.numbers[f"stiffness_{k + 1}"] for k in np.flatnonzero(~slides).tolist()]
     for term in fit.terms:
@@ -87,7 +82,7 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
             NumberEstimate(float(fit.coefficient(term.name)[0]), math.sqrt(float(final.cov[place, place])))
         )
     for number in stiffness:
-        elastic += 0.5 * travel * max(0.0, number.value - SURE * number.std)
+        elastic += 0.5 * travel * max(0.0, number.value - SIGMAS * number.std)
     if elastic > OPEN_LEVEL * (elastic + sliding):
         refusal = FrictionError(
             source,
@@ -220,7 +215,7 @@ def _number(name: str, quantity: NumberEstimate, lower: float = 0.0, upper: floa
     if quantity.relative <= KNOWN:
         return Number(name, value, std)
     room = min(upper - lower, UNTOLD * abs(value - lower), UNTOLD * abs(upper - value))
-    if not 2.0 * std < room:
+    if not SIGMAS * std < room:
         return Number(name, float(f"{value:.3g}"), math.nan, Rule.STAND_IN)
     return Number(name, value, std, Rule.STAND_IN)
 
@@ -277,7 +272,7 @@ def list_limits(
         yield Statement(Rule.ONE_WAY, about, speeds[0], None, speed, {"back": speeds[1]}, both)
     else:
         fastest, rise = view.rows.extents.speed, final.numbers.get("stribeck_velocity")
-        slow = rise is not None and rise.value + RISE_SURE * rise.std > fastest
+        slow = rise is not None and rise.value + SIGMAS * rise.std > fastest
         for name in ("coulomb", "viscous", "stribeck"):
             if not unknown & set(CONTROLLED[name]):
                 continue
@@ -308,7 +303,7 @@ def list_limits(
         about = f"element {k}"
         if final.unresolved[k - 1]:
             yield Statement(Rule.UNRESOLVED, about, view.limits[0], unit=length)
-        elif distance > SLID * travel:
+        elif distance > LARGEST * travel:
             yield Statement(Rule.NOT_REACHED, about, distance, unit=length, numbers={"travel": travel})
         elif unknown & {f"stiffness_{k}", f"fraction_{k}"}:
             move = f"{_needed('stiffness')}, about {distance:.1g} {length} wide"

@@ -62,11 +62,10 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import largest_force
 from sgms_mhe.support.arrays import Array, Mask
 from sgms_mhe.support.decisions import log_decision
+from sgms_mhe.support.numbers import SIGMAS
 
-SHOWN: Final = 2.0
-"""Standard deviations by which a number differs from none."""
 CERTAIN: Final = 3.0
-"""Standard deviations by which a mass differs from the one that was given."""
+"""Standard deviations by which a number is another one than was given."""
 MASS_OFF: Final = 0.02
 """Of the mass that was given: less is what an actuator's lag makes of it."""
 FAST: Final = 0.5
@@ -287,7 +286,7 @@ def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
         cov = covariance(views.fine, fit)
         deviation = np.sqrt(np.diag(cov)[count : 2 * count])
         found = [quantities(fit, cov)[f"stiffness_{k + 1}"] for k in range(count)]
-        none = np.array([number.value <= SHOWN * number.std for number in found])
+        none = np.array([number.value <= SIGMAS * number.std for number in found])
         unsure = (fit.levels < TRACE * fit.coulomb) & (deviation >= UNSURE * fit.levels)
         unsure |= (fit.shape.distances > LARGEST * travel) & none
         if not unsure.any():
@@ -479,7 +478,7 @@ def _find_unseen(fit: AxisFit, cov: Array) -> set[str]:
     unseen = set()
     for term in fit.terms:
         sizes, place = fit.coefficient(term.name), fit.place(term.name)
-        unsure = np.all(np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place])))
+        unsure = np.all(np.abs(sizes) <= SIGMAS * np.sqrt(np.diag(cov[place, place])))
         if unsure or not is_within_limits(term, sizes):
             unseen.add(term.name)
     return unseen - (set(LAW_AND_SAMPLING) - {"viscous"})

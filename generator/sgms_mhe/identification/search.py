@@ -18,7 +18,7 @@ from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis
 from sgms_mhe.identification.records import Records, filter_motion
 from sgms_mhe.identification.spectrum import Spectrum, cluster, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
-from sgms_mhe.recordings.evidence import difference_statistic
+from sgms_mhe.recordings.evidence import EQUAL_T, difference_statistic
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.decisions import log_decision
@@ -31,8 +31,6 @@ FIRST_COUNT: Final = 5
 """Elements at which laws are compared: enough to bend as any virgin curve does."""
 MATERIAL: Final = 0.01
 """Share of the residual's RMS by which a richer model must leave less on rows that it has not seen."""
-SIGNIFICANT: Final = 2.5
-"""How sure that gain is over blocks, in deviations."""
 LIKELY: Final = 1.05
 """Residual of the other law over the chosen one's up to which its own number of elements is looked for."""
 IN_VAIN: Final = 1
@@ -43,8 +41,6 @@ FOLLOWED: Final = 2
 """Starts that are followed to their minimum, of those that a few iterations have been spent on."""
 NEXT: Final = 0.3
 """Break-away distance of an element below all others, over the smallest of theirs."""
-LEAST_WEIGHT: Final = 1e-100
-"""Level [N] that an element counts with where all levels are 0, and their distances are merged alike."""
 RISE: Final = 0.1
 """Stribeck ratio that a fit starts from where the spectrum shows none."""
 SMALL_RISE: Final = 0.02
@@ -181,7 +177,7 @@ def is_better(richer: AxisFit, simpler: AxisFit) -> bool:
     """Return True if one fit is better than another on unseen samples, by an amount that matters and beyond chance."""
     if richer.cross_rms >= (1.0 - MATERIAL) * simpler.cross_rms:
         return False
-    return difference_statistic(richer.cross, simpler.cross) > SIGNIFICANT
+    return difference_statistic(richer.cross, simpler.cross) > EQUAL_T
 
 
 def choose_count(fits: dict[int, AxisFit]) -> int:
@@ -270,7 +266,7 @@ def _change_count(near: AxisFit, count: int) -> list[Array]:
 
 def join_nearest(fit: AxisFit, count: int) -> Array:
     """Distances (count) of a fit with its closest elements merged."""
-    weights = np.maximum(fit.levels, max(1e-9 * fit.coulomb, LEAST_WEIGHT))
+    weights = np.maximum(fit.levels, 1e-9 * (fit.coulomb or 1.0))  # where all are 0, alike
     return cluster(Spectrum(fit.shape.distances, weights, None), count)[0]
 
 

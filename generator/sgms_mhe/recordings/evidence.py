@@ -15,9 +15,8 @@ from scipy.ndimage import uniform_filter1d
 
 from sgms_mhe.recordings.noise import find_colour, quiet_variance
 from sgms_mhe.recordings.recording import Recording
-from sgms_mhe.support.arrays import Array
+from sgms_mhe.support.arrays import TINY, Array
 
-TINY: Final = 1e-300  # keeps quotients of nothing finite
 UNSEEN: Final = 1e-9  # of the longest column: a shorter one is not excited
 RANK: Final = 1e-10  # of the largest eigenvalue of the scaled Gram matrix
 SOLVABLE: Final = 1e-12  # of the largest eigenvalue of an information matrix
@@ -27,12 +26,14 @@ AT_REST: Final = 1e-3  # RMS speed of a piece over that of all
 MOVING: Final = 0.1  # of the pieces: fewer are no sample of the noise
 CONFIDENCE: Final = 0.95
 """Probability of the intervals that decide."""
+EQUAL_T: Final = 2.5
+"""T over blocks up to which two fits are equally good [1]: two-sided one percent."""
 FAST_PARTS: Final = 20  # of a record: what is slower than one of them may be a force that wanders
 FAST_LEAST: Final = 1e-3  # of a contribution's power: of one with less, an offset say, no change is fast
 DRAWS: Final = 1000  # of blocks; the interval's ends are then sure to a few percent of its width
-NOISE_ROWS: Final = 16
-"""Stretch that a model's errors are smooth over: what a parabola leaves there is noise [rows]: they are, but where the
-axis is fast; the quieter half decides."""
+SMOOTH_ROWS: Final = 16
+"""Stretch that a model's errors are smooth over and keep their sign, a reversal: what a parabola leaves there is noise
+[rows]; they are, but where the axis is fast; the quieter half decides."""
 WHITE_FLOOR: Final = 0.1
 """Scatter of scores over blocks, at least [white noise]: blocks that balance by chance prove nothing."""
 ENCODER_STEPS_MOST: Final = 0.2
@@ -43,8 +44,6 @@ CONSTANCY_PARTS: Final = 6
 UNKNOWN: Final = 1e-15  # of the largest eigenvalue of the information
 ALONE: Final = 0.9
 """Share of the information on a number that one block may hold: with all of it there is none to move to without it."""
-COHERENT_ROWS: Final = 16
-"""Stretch that a model's own error keeps its sign over, for intervals [rows]: a reversal."""
 SMOOTH_SHARE: Final = 0.15  # of a frequency, to either side: its power is the mean of these
 SMOOTH_LEAST: Final = 4  # half frequencies, of a record's length: the slowest few are one
 UNSEEN_ERROR: Final = 0.15
@@ -111,9 +110,9 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
 def noise_floor(recording: Recording, residual: Array, encoder: Array | None = None) -> float:
     """RMS of the noise at the fit's rate, from what a smooth curve through a few rows leaves [N].
 
-    Model errors are smooth over NOISE_ROWS but at reversals and pushes, whose segments are told by what they leave, and
-    where they come again in time or in place (`quiet_variance`). What an encoder's steps make is slow where few of them
-    pass, comes again at one speed, and is largest where stiff elements stick: no less than that.
+    Model errors are smooth over SMOOTH_ROWS but at reversals and pushes, whose segments are told by what they leave,
+    and where they come again in time or in place (`quiet_variance`). What an encoder's steps make is slow where few of
+    them pass, comes again at one speed, and is largest where stiff elements stick: no less than that.
 
     Args:
         recording: the record.
@@ -159,7 +158,7 @@ def _quiet_power(recording: Recording, residual: Array) -> tuple[float, float]:
 
     Of those in which the axis moves, where there are enough: at rest an encoder that rounds has no noise.
     """
-    width = NOISE_ROWS
+    width = SMOOTH_ROWS
     k = len(residual) // width
     whole = recording.used[: k * width].reshape(k, width).all(axis=1)
     if whole.sum() < PIECES:
@@ -340,7 +339,7 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
     Noise, by the change of the numbers without each block (`jackknife_covariance`), robust to colour within a block and
     to numbers that few blocks tell of, but no less than if the residual were white, or stationary with its own spectrum
     (`stationary_covariance`): what is slower than a block. And the error of the model, which does not average out as
-    noise does: taken as coherent over COHERENT_ROWS.
+    noise does: taken as coherent over SMOOTH_ROWS.
 
     Args:
         recording: rows of the fit.
@@ -358,7 +357,7 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
         variance = np.maximum(np.diag(least), TINY)
         missing = np.sqrt(np.maximum(0.0, variance - np.diag(noise)) / variance)
         noise = noise + least * np.outer(missing, missing)
-    return np.asarray(noise + inverse * COHERENT_ROWS * wrong**2)
+    return np.asarray(noise + inverse * SMOOTH_ROWS * wrong**2)
 
 
 def invert_information(H: Array) -> Array:

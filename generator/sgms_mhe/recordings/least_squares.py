@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from sgms_mhe.support.arrays import Array, Mask
+from sgms_mhe.support.arrays import TINY, Array, Mask
 
 Box = tuple[Array, Array]
 """Least and largest step (p)."""
@@ -30,7 +30,6 @@ RIDGE: Final = 1e-12
 """Of the largest diagonal term: keeps a step finite in a direction without excitation."""
 COMMON_RIDGE: Final = 1e-8
 """Of the diagonal of normal equations: columns that are the same to so many digits share what they explain."""
-TINY: Final = 1e-300
 
 
 class Point(Protocol):

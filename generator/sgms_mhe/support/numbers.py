@@ -6,7 +6,8 @@ import math
 from typing import Final
 
 SIGMAS: Final = 2.0
-"""Standard deviations on either side of a number, wherever a reader sees `+-`; columns of data have one."""
+"""Standard deviations on either side of a number, wherever a reader sees `+-`, and that a number differs from none by:
+95 %. Columns of data have one."""
 
 
 def interval(value: float, std: float, digits: int = 2) -> str:
