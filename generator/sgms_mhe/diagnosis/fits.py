@@ -12,6 +12,7 @@ from sgms_mhe.diagnosis.models import (
     CompiledFit,
     FitError,
     LeastSquares,
+    ModelPoint,
     Prior,
     diverges,
     make_model,
@@ -306,31 +307,37 @@ def _fit_here(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | 
     # A parameter that its bound holds moves neither with a candidate nor from fold to fold.
     descent = found.jacobian[seen].T @ found.residual[seen]
     interior = free & ~find_at_bounds(columns, found.theta, descent, recording)
-    return Fit(
+    prior = prior_information(subject, model, interior)
+    cross = cross_loss(recording, found.jacobian[:, interior], found.residual, prior)
+    return make_fit(model, effects, recording, found, free, interior, cross)
+
+
+def make_fit(
+    model: CompiledFit,
+    effects: Sequence[CandidateEffect],
+    recording: Recording,
+    found: ModelPoint,
+    free: Mask,
+    interior: Mask,
+    cross: Array | None = None,
+) -> Fit:
+    """Return the fit that ended at a point; `cross`: its losses on unseen folds (blocks), None: those on all rows."""
+    loss = recording.sum_blocks(found.residual**2)
+    fit = Fit(
         model=model,
-        effects=tuple(
-            CandidateEffect(
-                e.name,
-                {
-                    c.name: c.si(t)
-                    for c, t in zip(columns, found.theta, strict=True)
-                    if c.group == ParameterGroup.candidate(e.name, i)
-                },
-            )
-            for i, e in enumerate(effects)
-        ),
+        effects=(),
         theta=found.theta,
         free=free,
         interior=interior,
         residual=found.residual,
         jacobian=found.jacobian,
-        loss=recording.sum_blocks(found.residual**2),
-        cross=cross_loss(
-            recording, found.jacobian[:, interior], found.residual, prior_information(subject, model, interior)
-        ),
+        loss=loss,
+        cross=loss if cross is None else cross,
         rows=recording.sum_blocks(np.ones(len(recording.time))),
         own=found.own,
     )
+    values = [fit.values(ParameterGroup.candidate(effect.name, i)) for i, effect in enumerate(effects)]
+    return replace(fit, effects=tuple(CandidateEffect(e.name, v) for e, v in zip(effects, values, strict=True)))
 
 
 def prior_information(subject: Subject, model: CompiledFit, free: Mask) -> Array:

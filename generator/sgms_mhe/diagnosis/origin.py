@@ -79,9 +79,8 @@ def find_origin(machine: Machine, log: Log, within: float | None = None) -> Orig
         InputError: a log that does not fit the machine; no `within` where the forces over place do not repeat.
         FitError: the model is not finite along it.
     """
-    if within is None:
-        return search_origin(machine, log, -math.inf, math.inf)
-    return search_origin(machine, log, -within, within)
+    reach = math.inf if within is None else within
+    return search_origin(machine, log, -reach, reach)
 
 
 def search_origin(machine: Machine, log: Log, least: float, most: float) -> Origin:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from sgms_mhe.machine import Units
@@ -55,15 +55,7 @@ class Origin:
 
     def to_json(self) -> dict[str, Any]:
         """Return its entry in a file, keys of a linear axis."""
-        return {
-            "determined": self.is_determined,
-            "position_m": self.position_m,
-            "deviation_m": self.deviation_m,
-            "period_m": self.period_m,
-            "candidates_m": list(self.candidates_m),
-            "gain_N": self.gain_N,
-            "reason": self.reason,
-        }
+        return {"determined": self.is_determined, **asdict(self), "candidates_m": list(self.candidates_m)}
 
     def describe(self, units: Units) -> str:
         """Return it in a sentence."""

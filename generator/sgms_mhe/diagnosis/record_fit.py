@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sgms_mhe.diagnosis.alignment import align
-from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, Fit, Subject
+from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, Fit, Subject, make_fit
 from sgms_mhe.diagnosis.models import CompiledFit, LeastSquares, ModelPoint, Prior
 from sgms_mhe.diagnosis.own_numbers import is_of_record
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.model.effects import EFFECT_NAMES, reported_name
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording, Runs
@@ -64,27 +64,7 @@ class RecordFit:
 
     def make_fit(self, found: ModelPoint, free: Mask) -> Fit:
         """Return the fit that ended at a point, of the numbers that were free (n_p)."""
-        recording = self.subject.recording
-        loss = recording.sum_blocks(found.residual**2)
-        return Fit(
-            model=self.model,
-            effects=tuple(
-                CandidateEffect(e.name, {c.name: c.si(t) for c, t in self._numbers(found.theta, i)})
-                for i, e in enumerate(self.effects)
-            ),
-            theta=found.theta,
-            free=free,
-            interior=free,
-            residual=found.residual,
-            jacobian=found.jacobian,
-            loss=loss,
-            cross=loss,
-            rows=recording.sum_blocks(np.ones(len(recording.time))),
-        )
-
-    def _numbers(self, theta: Array, index: int) -> list[tuple[JacobianColumn, float]]:
-        group = ParameterGroup.candidate(self.effects[index].name, index)
-        return [(c, t) for c, t in zip(self.model.columns, theta.tolist(), strict=True) if c.group == group]
+        return make_fit(self.model, self.effects, self.subject.recording, found, free, free)
 
     def name_numbers(self, fit: Fit) -> dict[str, float]:
         """Return the free numbers of a fit by name [SI], those of an effect with its label before them."""

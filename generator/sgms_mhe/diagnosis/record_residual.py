@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -27,29 +27,24 @@ class MachineResidual:
         rms_N: measured minus simulated friction, RMS [N].
         held_out_N: the same on the third of the record that a diagnosis holds out, RMS [N].
         noise_floor_N: noise of the measured friction, RMS [N].
-        rate: decimated samples per second [Hz].
+        rate_Hz: decimated samples per second [Hz].
     """
 
     rms_N: float
     held_out_N: float
     noise_floor_N: float
-    rate: float
+    rate_Hz: float
 
     def describe(self, units: Units) -> str:
         """Return both numbers in words."""
         return (
             f"residual {self.rms_N:.3g} {units.force}, noise floor {self.noise_floor_N:.3g} {units.force} at "
-            f"{self.rate:g} Hz"
+            f"{self.rate_Hz:g} Hz"
         )
 
     def to_json(self) -> dict[str, float]:
         """Plain data, keys as of a linear axis."""
-        return {
-            "rms_N": self.rms_N,
-            "held_out_N": self.held_out_N,
-            "noise_floor_N": self.noise_floor_N,
-            "rate_Hz": self.rate,
-        }
+        return asdict(self)
 
 
 def measure_residual(machine: Machine, log: Log) -> MachineResidual:
@@ -76,7 +71,7 @@ def measure_residual(machine: Machine, log: Log) -> MachineResidual:
         rms_N=record.rms(residual),
         held_out_N=float(np.sqrt(np.mean(held_out**2))) if len(held_out) else math.nan,
         noise_floor_N=noise_floor(record, residual, encoder),
-        rate=record.rate,
+        rate_Hz=record.rate,
     )
 
 

@@ -293,17 +293,21 @@ def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
             break
         if unsure.all():  # where no friction shows, that is for a refusal to say
             unsure[np.argmax(fit.levels)] = False
-        shape = Shape(fit.shape.law, fit.shape.distances[~unsure], fit.shape.rise)
-        fit = fit_axis(views.fine, fit.terms, shape, iterations=FINAL_ITERATIONS)
+        fit = _keep_elements(views.fine, fit, ~unsure)
     return fit
 
 
 def drop_empty(view: RecordView, fit: AxisFit) -> AxisFit:
     """The fit without elements of no level, however many were asked for: a machine file cannot state one."""
     while not fit.levels.all() and fit.levels.any():
-        shape = Shape(fit.shape.law, fit.shape.distances[fit.levels > 0.0], fit.shape.rise)
-        fit = fit_axis(view, fit.terms, shape, iterations=FINAL_ITERATIONS)
+        fit = _keep_elements(view, fit, fit.levels > 0.0)
     return fit
+
+
+def _keep_elements(view: RecordView, fit: AxisFit, kept: Mask) -> AxisFit:
+    """Return the fit with some of its elements (k) alone."""
+    shape = replace(fit.shape, distances=fit.shape.distances[kept])
+    return fit_axis(view, fit.terms, shape, iterations=FINAL_ITERATIONS)
 
 
 def join_alike(view: RecordView, fit: AxisFit) -> AxisFit:

@@ -33,8 +33,6 @@ MATERIAL: Final = 0.01
 """Share of the residual's RMS by which a richer model must leave less on rows that it has not seen."""
 LIKELY: Final = 1.05
 """Residual of the other law over the chosen one's up to which its own number of elements is looked for."""
-IN_VAIN: Final = 1
-"""Counts of elements tried in a row without a gain before the search ends."""
 CHOICE_ITERATIONS: Final = 12
 LOOK_ITERATIONS: Final = 3
 FOLLOWED: Final = 2
@@ -166,10 +164,25 @@ def _search_count(
     elements: int | None,
     report: Progress,
 ) -> AxisFit:
-    """The fit with as many elements as the records show under the law of the fits so far, which grow."""
+    """The fit with as many elements as the records show under the law of the fits so far, which grow.
+
+    More while they gain, then fewer until one more gains.
+    """
     if elements is not None:
         return fits[elements]
-    _try_counts(views, terms, spectrum, fits, report)
+    first = max(fits)
+    law = fits[first].shape.law
+    for count in range(first + 1, MOST_ELEMENTS + 1):
+        report(f"{law}: {count} elements")
+        fits[count] = _best(views, terms, spectrum, fits[count - 1], count)
+        if not is_better(fits[count], fits[count - 1]):
+            break
+    for count in range(first - 1, 0, -1):
+        if count not in fits:
+            report(f"{law}: {count} elements")
+            fits[count] = _best(views, terms, spectrum, fits[count + 1], count)
+        if any(is_better(fits[more], fits[count]) for more in fits if more > count):
+            break
     return fits[choose_count(fits)]
 
 
@@ -186,29 +199,6 @@ def choose_count(fits: dict[int, AxisFit]) -> int:
         if not any(is_better(fits[more], fits[count]) for more in fits if more > count):
             return count
     return max(fits)
-
-
-def _try_counts(
-    views: Views, terms: Sequence[Term], spectrum: Spectrum, fits: dict[int, AxisFit], report: Progress
-) -> None:
-    """Fit more elements, then fewer, until neither changes anything."""
-    first = max(fits)
-    law = fits[first].shape.law
-    in_vain = 0
-    for count in range(first + 1, MOST_ELEMENTS + 1):
-        report(f"{law}: {count} elements")
-        fits[count] = _best(views, terms, spectrum, fits[count - 1], count)
-        in_vain = 0 if is_better(fits[count], fits[count - 1]) else in_vain + 1
-        if in_vain == IN_VAIN:
-            break
-    in_vain = 0
-    for count in range(first - 1, 0, -1):
-        if count not in fits:
-            report(f"{law}: {count} elements")
-            fits[count] = _best(views, terms, spectrum, fits[count + 1], count)
-        in_vain = in_vain + 1 if any(is_better(fits[more], fits[count]) for more in fits if more > count) else 0
-        if in_vain == IN_VAIN:
-            break
 
 
 def _best(views: Views, terms: Sequence[Term], spectrum: Spectrum, near: AxisFit, count: int) -> AxisFit:

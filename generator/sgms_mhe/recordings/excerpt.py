@@ -92,9 +92,11 @@ def make_excerpt(recording: Recording) -> Recording:
     )
     encoder = recording.noise, recording.unfiltered, recording.misread
     noise, unfiltered, misread = (a if a is None else a[samples] for a in encoder)
-    fitted = replace(fitted, noise=noise, unfiltered=unfiltered, misread=misread)
     return replace(
         fitted,
+        noise=noise,
+        unfiltered=unfiltered,
+        misread=misread,
         warnings=(*recording.warnings, note),
         has_own_speeds=recording.has_own_speeds,
         is_filtered=recording.is_filtered,
