@@ -26,8 +26,7 @@ from sgms_mhe.diagnosis.criteria import (
 )
 from sgms_mhe.diagnosis.curves import fit_curve
 from sgms_mhe.diagnosis.fits import EffectsError, Fit, Subject, fit_model, try_fit
-from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, start_unknown_numbers
-from sgms_mhe.diagnosis.models import FitError
+from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, start_unknown_numbers
 from sgms_mhe.diagnosis.parts import Outcome, Score
 from sgms_mhe.diagnosis.reduction import keep_necessary, prune_effects
 from sgms_mhe.diagnosis.rivals import Contest, Selection, cause_significance, find_rivals
@@ -280,30 +279,7 @@ def _search(laws: Laws, criteria: Criteria) -> Searched:
     # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
     told = GAIN_SHARE * criteria.excess(current)
     criteria = replace(criteria, material=max(criteria.material, told))
-    return _choose_simpler_law(Searched(laws, current, criteria, scores, seen))
-
-
-def _choose_simpler_law(searched: Searched) -> Searched:
-    """Return the causes under the other law where the record decides for none and fewer explain as much there.
-
-    A cause may be the difference of the laws.
-    """
-    laws, criteria = searched.laws, searched.criteria
-    if laws.other is None or laws.decided or is_driven(searched.fit.effects):
-        return searched
-    causes, fit = keep_necessary(laws.chosen, searched.fit, criteria)
-    count = len(causes) + len(fit.effects)
-    least = len(causes) if laws.chosen.is_open else 0
-    if count == least:
-        return searched
-    try:
-        found = fit_model(laws.other, searched.fit.effects, warm=searched.fit)
-    except FitError:
-        return searched
-    causes, other = keep_necessary(laws.other, found, criteria)
-    if len(causes) + len(other.effects) < count and criteria.is_as_good(fit, other):
-        return replace(searched, laws=replace(laws, taken=not laws.taken), fit=found)
-    return searched
+    return Searched(laws, current, criteria, scores, seen)
 
 
 def drop_effects(searched: Searched) -> Searched:
