@@ -1,7 +1,5 @@
 """Packages with every binding, and what their C alone makes of a log: what the tests of bindings compare with."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.util
 import sys
@@ -63,10 +61,7 @@ def machine_of(kind: str) -> Machine:
     if kind == "rotary":
         return load_machine("etel_xy_rotary")
     estimator = {"kind": "ekf"} if kind == "ekf" else {"horizon": 6, "relinearise": "auto"}
-    changes = {
-        "effects": [{"name": "force_gain", "gain": 1.07}],
-        "compensation": {"enabled": False, "delay": 210e-6},
-    }
+    changes = {"effects": [{"name": "force_gain", "gain": 1.07}], "compensation": {"enabled": False, "delay": 210e-6}}
     precision = "single" if kind == "single" else "double"
     ripple = {"name": "force_ripple", "amplitude_N": 1.5, "pitch_m": PITCH}
     more: dict[str, dict[str, Any]] = {HELD_MASS: changes, PLACES: {"effects": [ripple]}}

@@ -1,7 +1,5 @@
 """Chromium for the tests of pages."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Emitted packages and C probes for the tests of the C: written out, compiled, loaded."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import shutil

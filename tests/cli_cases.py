@@ -1,7 +1,5 @@
 """A small machine and how the tests of the command line run it."""
 
-from __future__ import annotations
-
 import os
 import pty
 import subprocess

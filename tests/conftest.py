@@ -1,7 +1,5 @@
 """Fixtures shared by all tests, and the rule that in CI nothing is skipped in silence."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

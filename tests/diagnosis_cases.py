@@ -1,7 +1,5 @@
 """Diagnoses made by hand: what a report and a benchmark see, without the engine that finds them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -231,13 +229,7 @@ def motionless(machine: Machine) -> Diagnosis:
         refitted_N=zero,
     )
     return replace(
-        first,
-        traces=still,
-        excited=False,
-        scores=(),
-        structure_before=(),
-        structure_after=(),
-        warnings=("no motion",),
+        first, traces=still, excited=False, scores=(), structure_before=(), structure_after=(), warnings=("no motion",)
     )
 
 

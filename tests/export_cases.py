@@ -1,7 +1,5 @@
 """Axes under a given force: what the tests of exports compare."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small machine and one simulated trace, which tests write in every dialect."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory

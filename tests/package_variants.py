@@ -1,7 +1,5 @@
 """Machines whose packages, together, take every way through the generator."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -70,12 +68,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
         "force_N": [0.1 * ((7 * k) % 11 - 5) for k in range(20)],
     },
     "position_map": {"pitch_m": 0.004, "order": [1, 2, 6], "sine_N": [0.5, 0.1, 0.15], "cosine_N": [0.2, -0.3, 0.05]},
-    "friction_curve": {
-        "speed_m_s": [0.002, 0.02],
-        "forward_N": [1.2, 0.8],
-        "backward_N": [0.8, 0.4],
-        "end_m_s": 0.2,
-    },
+    "friction_curve": {"speed_m_s": [0.002, 0.02], "forward_N": [1.2, 0.8], "backward_N": [0.8, 0.4], "end_m_s": 0.2},
 }
 """Every effect that any axis may have, of a size that matters."""
 

@@ -1,7 +1,5 @@
 """Logs of simulated axes: effects hidden in them, other origins, temperatures and payloads."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Machines, signals and a linear model that the tests of the reference solvers share."""
 
-from __future__ import annotations
-
 import hashlib
 import pickle
 from typing import Any
@@ -145,8 +143,7 @@ def linear_model(**estimator: Any) -> Model:
     """A model that is linear in (chi, theta) at a given motion: two coupled states and one alone, three parameters."""
     machine = with_integrator(
         variant(
-            sampling={"rate": 100.0, "update_rate": 20.0, "velocity_cutoff": 5.0},
-            estimator={"bounds": {}} | estimator,
+            sampling={"rate": 100.0, "update_rate": 20.0, "velocity_cutoff": 5.0}, estimator={"bounds": {}} | estimator
         ),
         scheme="rk4",
         displacement=0.5,

@@ -1,7 +1,5 @@
 """Checks that every output says of a judgement what its statement says."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

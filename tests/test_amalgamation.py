@@ -1,7 +1,5 @@
 """A package as one source and one header: no warning, the same bits, nothing else in the folder's C."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

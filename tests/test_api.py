@@ -1,7 +1,5 @@
 """The public Python API: what it gives, that it costs nothing until it is used, and that its page and scripts run."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import pickle

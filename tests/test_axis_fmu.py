@@ -1,7 +1,5 @@
 """The axis as an FMU: what the standard says of it, the motion that `simulate` makes of the same force, refusals."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys
@@ -167,9 +165,7 @@ def test_it_starts_within_a_motion(base: str, version: int, tmp_path: Path) -> N
 def test_parameters_change_the_axis_while_it_runs(version: int, tmp_path: Path) -> None:
     machine = machine_of_effect("position_map")
     force = drive_force(machine, 0.3)
-    changed = machine_with(
-        {"name": "position_map", **EFFECTS["position_map"], "pitch_m": 0.006},
-    )
+    changed = machine_with({"name": "position_map", **EFFECTS["position_map"], "pitch_m": 0.006})
     (tmp_path / "other").mkdir()
     with (
         slave_of(exported(machine, version, tmp_path), tmp_path / "a", started=False) as slave,

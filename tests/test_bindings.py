@@ -1,7 +1,5 @@
 """A package's C from other languages: the same numbers as the C alone, and refusals that are said."""
 
-from __future__ import annotations
-
 import ctypes
 import zipfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The step of a fit within a box: the minimum, by its optimality conditions and by enumeration."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

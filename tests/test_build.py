@@ -1,7 +1,5 @@
 """Shared libraries from C sources: built once, rebuilt when anything they are made of changes, errors that say why."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """`ci`: what a repository of machine files and packages is checked for, and what its report says."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """The command line: every command, what it refuses and how, and that nothing is left half-written."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import os

@@ -1,7 +1,5 @@
 """Command `bench`, and the C harness that it times."""
 
-from __future__ import annotations
-
 import io
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Effects in time after hours and after a year of samples."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from pathlib import Path
@@ -76,10 +74,7 @@ def test_sine_keeps_its_phase_for_a_year(frequency_Hz: float, kind: str, precisi
     assert np.abs(estimator.friction(RATE // 4) - start).max() > (0.5 if frequency_Hz < 1.0 else -1.0) * amplitude_N
 
 
-SAMPLINGS: dict[str, dict[str, Any]] = {
-    "flow": {},
-    "merged": scheme("flow", substeps=20),
-}
+SAMPLINGS: dict[str, dict[str, Any]] = {"flow": {}, "merged": scheme("flow", substeps=20)}
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -1,7 +1,5 @@
 """A diagnosis through a coarse encoder: the true machine is adequate, and what is above its steps has its name."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

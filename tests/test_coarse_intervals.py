@@ -1,7 +1,5 @@
 """Intervals of numbers identified through coarse encoders, off their stamps, at low rates: they hold the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

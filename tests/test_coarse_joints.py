@@ -1,7 +1,5 @@
 """Identification through coarse encoders: what their steps add to an acceleration makes no inertia smaller."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -36,10 +34,7 @@ def joint(bits: int, rate: float, seed: int, size: float = 1.0, seconds: float =
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("bits", "rate", "seed", "size"),
-    [(13, 1000.0, 1, 1.0), (14, 500.0, 4, 0.02)],
-)
+@pytest.mark.parametrize(("bits", "rate", "seed", "size"), [(13, 1000.0, 1, 1.0), (14, 500.0, 4, 0.02)])
 def test_inertia_behind_coarse_steps_is_within_its_interval(bits: int, rate: float, seed: int, size: float) -> None:
     """Plain least squares has it 3 to 5 deviations too small."""
     found = identify([joint(bits, rate, seed, size)], Wanted("joint"))

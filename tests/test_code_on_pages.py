@@ -1,7 +1,5 @@
 """Code on the pages: every block is run, compiled or at least parsed by what would run it; what is not says why."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

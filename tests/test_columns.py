@@ -1,7 +1,5 @@
 """Lines of emitted C: at most 100 columns whatever names stand in them, and the same code as before."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

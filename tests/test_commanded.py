@@ -1,7 +1,5 @@
 """Axes that commands drive: [drive], logs without a force, free runs from the command, and their identification."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace

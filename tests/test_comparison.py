@@ -1,7 +1,5 @@
 """How the comparison of the emitted C with the reference decides."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

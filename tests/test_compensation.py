@@ -1,7 +1,5 @@
 """Friction compensation: what the C feeds forward against the law integrated here once more, its switches, the loop."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,22 +12,8 @@ from numpy.typing import NDArray
 
 from c_packages import PROBES, machine, scheme, written
 from sgms_bench.compensation.loop import LoopCompensation, LoopedEstimator
-from sgms_bench.compensation.running import (
-    actuation_delay,
-    axis_config,
-    compare_compensations,
-    run_axis,
-    truth_of,
-)
-from sgms_bench.compensation.tracking import (
-    EKF,
-    MHE,
-    NONE,
-    STATIC,
-    TRUE,
-    measure,
-    rests,
-)
+from sgms_bench.compensation.running import actuation_delay, axis_config, compare_compensations, run_axis, truth_of
+from sgms_bench.compensation.tracking import EKF, MHE, NONE, STATIC, TRUE, measure, rests
 from sgms_bench.studies.tracking import tracking_rows
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package

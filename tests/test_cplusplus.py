@@ -1,7 +1,5 @@
 """Emitted packages and the runtime headers are C++17 as well as C99, with the same numbers."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from pathlib import Path

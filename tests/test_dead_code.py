@@ -1,7 +1,5 @@
 """Nothing that nothing uses: in the Python package and its workbench, in runtime headers, in emitted packages."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import Counter

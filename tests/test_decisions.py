@@ -1,7 +1,5 @@
 """Decisions of an analysis: as log records for a library's user, and as the files of --trace."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math

@@ -1,7 +1,5 @@
 """What a package brings beside its C, used as a firmware project would: page, build files, list, digests, licence."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """`diagnose` and `plan` from end to end: a part of a log, an estimator on an unseen log, a plan that separates."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

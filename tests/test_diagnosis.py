@@ -1,7 +1,5 @@
 """Hidden effects, wrong numbers and clean logs: the diagnosis must find what is there and nothing else."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The benchmark of diagnoses: right scores, and a seeded part of it for real."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -10,17 +8,10 @@ import pytest
 from diagnosis_cases import name_nothing
 from sgms_bench.diagnosis.axes import DrawnAxis
 from sgms_bench.diagnosis.causes import Hidden
-from sgms_bench.diagnosis.draws import (
-    Draw,
-    simulate_draw,
-)
+from sgms_bench.diagnosis.draws import Draw, simulate_draw
 from sgms_bench.diagnosis.faults import FAULTS
 from sgms_bench.diagnosis.running import diagnose_draw, run_draw
-from sgms_bench.diagnosis.scoring import (
-    is_confidently_wrong,
-    outcome,
-    parameter_errors,
-)
+from sgms_bench.diagnosis.scoring import is_confidently_wrong, outcome, parameter_errors
 from sgms_bench.diagnosis.specimens import SPECIMENS, WRONG_NUMBERS
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine

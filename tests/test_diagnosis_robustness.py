@@ -1,7 +1,5 @@
 """What real records bring: two things wrong at once, low rates, gaps, saturation, hardly any motion, length."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

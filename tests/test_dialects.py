@@ -3,8 +3,6 @@
 `python tests/test_dialects.py` prints the table: largest difference of the estimated friction, by dialect.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 import tempfile

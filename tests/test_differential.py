@@ -1,7 +1,5 @@
 """Emitted C against the reference solver over simulated closed-loop logs: two implementations of docs/."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Mapping
@@ -164,10 +162,7 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "ekf": {"estimator": {"kind": "ekf"}},
     "ekf, bound": {"estimator": {"kind": "ekf", "bounds": {"stiffness": [0.995, 1.05]}, "noise": {"parameter": 0.3}}},
     "auto, mass": {"estimator": UNCERTAIN["estimator"] | {"relinearise": "auto", "horizon": 7}},
-    "newest, mass, rk4": {
-        "estimator": UNCERTAIN["estimator"] | {"relinearise": "newest"},
-        "sampling": scheme("rk4"),
-    },
+    "newest, mass, rk4": {"estimator": UNCERTAIN["estimator"] | {"relinearise": "newest"}, "sampling": scheme("rk4")},
     "ekf, mass": {"estimator": UNCERTAIN["estimator"] | {"kind": "ekf"}},
     "ekf, priors": PRIORS | {"estimator": PRIORS["estimator"] | {"kind": "ekf"}},
     # a table that the model looks up, over two coordinates, one of them a state
@@ -393,18 +388,14 @@ def test_single_precision_follows_the_reference(case: str) -> None:
     settings = machine(**SINGLE_CASES[case], code={"precision": "single"})
     signals = signals_of(settings)
     compare_single(
-        compiled(settings).estimate(signals),
-        estimate_once(settings, signals),
-        settings.estimator.noise.parameter,
+        compiled(settings).estimate(signals), estimate_once(settings, signals), settings.estimator.noise.parameter
     )
 
 
 @pytest.mark.parametrize(("relinearise", "substeps"), [("all", 100), ("auto", 100), ("auto", 20)])
 def test_single_precision_at_all_speeds_through_its_own_chain(relinearise: str, substeps: int) -> None:
     settings = machine(
-        code={"precision": "single"},
-        estimator={"relinearise": relinearise},
-        sampling=scheme("flow", substeps=substeps),
+        code={"precision": "single"}, estimator={"relinearise": relinearise}, sampling=scheme("flow", substeps=substeps)
     )
     log = closed_loop(4, "mixed", 2.6)
     reference = estimate_once(settings, signals_from_log(log, settings))
@@ -464,11 +455,7 @@ DISTURBED: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {},
-        {"estimator": {"kind": "ekf"}},
-        {"sampling": scheme("flow", substeps=20)},
-    ],
+    [{}, {"estimator": {"kind": "ekf"}}, {"sampling": scheme("flow", substeps=20)}],
     ids=["mhe", "ekf", "merged"],
 )
 def test_time_is_that_of_the_signals_through_either_chain(changes: Mapping[str, Any]) -> None:

@@ -1,7 +1,5 @@
 """The documents: no line too long, no link that leads nowhere, no command, option, path or word that does not exist."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re

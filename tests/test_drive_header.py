@@ -1,7 +1,5 @@
 """An axis without a sensor of its force: what the emitted drive makes of commands, and an estimate from them alone."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from dataclasses import replace

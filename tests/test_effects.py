@@ -1,7 +1,5 @@
 """Every effect of the catalogue: against the base model, the emitted C, the simulated plant, and wrong input."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """`effects`, and the names that a message suggests where an unknown one was written."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

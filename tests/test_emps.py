@@ -1,7 +1,5 @@
 """The measured benchmark axis: what one half of the record teaches must hold on the other."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Machine files as `diagnose` writes them, read by other commands: each effect, both kinds of axis, both laws."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

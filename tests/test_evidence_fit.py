@@ -1,7 +1,5 @@
 """Groups of columns fitted by the evidence: against its formula, by differences, and on rows that are held out."""
 
-from __future__ import annotations
-
 from functools import reduce
 from operator import add
 

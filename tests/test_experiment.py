@@ -1,7 +1,5 @@
 """The paper's experiment: its table, its figures, and what the paper found."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Exports of an axis: their texts, the command with its refusals, and the error of simpler forms."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Exports of an axis, read and moved by the tools that they are for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

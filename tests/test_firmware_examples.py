@@ -1,7 +1,5 @@
 """The examples of a bare target and of two tasks: run on a host, the slow task interrupted at every point."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Fleets: every row of a table once, failures listed, nothing done twice; bands that hold what they promise."""
 
-from __future__ import annotations
-
 import csv
 import datetime
 import json

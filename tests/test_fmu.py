@@ -1,7 +1,5 @@
 """FMUs of a package: what the standard says of them, the same numbers as the C alone, and refusals."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

@@ -1,7 +1,5 @@
 """Friction that bends about standstill as a force of another instant would: what is stated is what the file leaves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Free runs: motion from the force alone, its start, gaps, drift and horizon."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A friction curve: its numbers in a machine file, and its shape."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Geared axes: torque transmitted, what tells their effects apart, and that a diagnosis finds them by name."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal

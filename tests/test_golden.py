@@ -5,8 +5,6 @@
 rewrites the folders; the diff is then reviewed and committed with the change that caused it.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

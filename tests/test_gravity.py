@@ -3,8 +3,6 @@
 The plant is written here, a few lines that share nothing with the project's own simulator.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What the length of a model's steps does to its friction: against a simulation of steps far shorter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

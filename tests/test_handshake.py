@@ -1,7 +1,5 @@
 """The handshake: an application compiled against another header than the package's is refused."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Identification from nothing: its convex start, its elements, its numbers against truths, its file, its refusals."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

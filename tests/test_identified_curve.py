@@ -3,8 +3,6 @@
 Friction beyond the axis's own is added to the force alone: the controller holds the reference against it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

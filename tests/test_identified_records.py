@@ -1,7 +1,5 @@
 """Identification from several records of one axis: what belongs to a record is free in each."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a diagnosis says of the numbers that it found: how sure they are, and that a gap is as long as it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -4,8 +4,6 @@ predict.c is the stable way in: model and integrator without the estimator, what
 Only the flow is called by its own name (tests/c/flow_probe.c says which names that takes).
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Callable, Iterable, Mapping

@@ -1,7 +1,5 @@
 """The signal chain: alignment, exact displacement, missing samples, logs that bring their own signals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

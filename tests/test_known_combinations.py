@@ -1,7 +1,5 @@
 """Causes whose columns are collinear: neither is identified, and their combination is a number."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Errors of the model that stay: what the emitted estimators state about an axis that is not the machine file's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any

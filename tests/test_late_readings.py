@@ -3,8 +3,6 @@
 The plant is written here: an inertia with sliding friction, driven by a torque of two sines.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

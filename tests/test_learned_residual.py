@@ -1,7 +1,5 @@
 """Forces without a name are learned: where they are there, only there, and by the gain on unseen data."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The table of a learned residual: against other splines, in machine files, in emitted C, and beyond its data."""
 
-from __future__ import annotations
-
 import math
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """What a package does over its life: settings, payload, parameters held or set, a power cycle."""
 
-from __future__ import annotations
-
 import ctypes
 import zlib
 from collections.abc import Callable
@@ -271,9 +269,7 @@ def test_mass_that_changes_underway_is_followed(package: Any) -> None:
     after = np.arange(len(log.time_s)) >= at
     mixed = (after) & (np.arange(len(log.time_s)) < at + settle)
     signals = replace(
-        by_light,
-        friction=np.where(after, by_heavy.friction, by_light.friction),
-        valid=by_light.valid & ~mixed,
+        by_light, friction=np.where(after, by_heavy.friction, by_light.friction), valid=by_light.valid & ~mixed
     )
     memory = p.new()
     first = p.run(memory, loaded, last=at)

@@ -1,7 +1,5 @@
 """Logs of many axes, stamps in two columns, channels of several groups: one is read, or which one is asked."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The bounded part of `make benchmark-logs`, and that its judge finds what it is there to find."""
 
-from __future__ import annotations
-
 import pytest
 
 from sgms_bench.logs.running import draw, run_draw

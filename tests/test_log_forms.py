@@ -1,7 +1,5 @@
 """Logs in odd forms: names of drives, no position, no force, repeated stamps, wraps, columns that are missing."""
 
-from __future__ import annotations
-
 import gzip
 import json
 from dataclasses import replace
@@ -401,8 +399,7 @@ def test_channels_that_end_a_little_apart_are_cut_and_said(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("left_out", "missing"),
-    [("time_s", ["time_s"]), ("position_rad", ["position_rad"]), ("torque_Nm", ["torque_Nm"])],
+    ("left_out", "missing"), [("time_s", ["time_s"]), ("position_rad", ["position_rad"]), ("torque_Nm", ["torque_Nm"])]
 )
 def test_inspect_lists_every_column_where_one_is_missing(left_out: str, missing: list[str], tmp_path: Path) -> None:
     log = rotor(11)

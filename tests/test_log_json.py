@@ -1,7 +1,5 @@
 """JSON as programs write it: lines, lists, arrays by name, nested messages; LabVIEW's measurement files."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

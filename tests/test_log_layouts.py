@@ -1,7 +1,5 @@
 """Layouts of tables: key rows of scopes, channels with clocks of their own, long format, struct arrays of MAT files."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The bounded part of the mutated logs of `make verify`, and that their judge finds what it is there to find."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

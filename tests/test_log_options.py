@@ -1,7 +1,5 @@
 """A log and what options say of it: `--log`, `--rate`, `--wrap`, `--unit`, `--force-scale`, on every command."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

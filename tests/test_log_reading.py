@@ -1,7 +1,5 @@
 """Reading logs: what is understood of a file, what is refused and with which sentence, uneven time, inspect."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -252,13 +250,7 @@ def test_refusals_say_what_to_write(
     assert re.search(message, text), text
 
 
-@pytest.mark.parametrize(
-    ("log", "change"),
-    [
-        ({"decimal": ","}, lambda x: x / 1000.0),
-        ({"decimal": "."}, lambda x: x),
-    ],
-)
+@pytest.mark.parametrize(("log", "change"), [({"decimal": ","}, lambda x: x / 1000.0), ({"decimal": "."}, lambda x: x)])
 def test_a_stated_decimal_mark_ends_the_doubt(
     log: dict[str, Any], change: Callable[[float], float], tmp_path: Path
 ) -> None:

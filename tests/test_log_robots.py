@@ -1,7 +1,5 @@
 """Recordings of robots: bags of ROS 1 and 2, MCAP, LeRobot data sets."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence

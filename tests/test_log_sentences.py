@@ -1,7 +1,5 @@
 """Sentences about logs that drawn ones found false, each with the axis that shows it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Numbers with signs: registers that were recorded without theirs, and forces that were turned round."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace

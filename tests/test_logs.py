@@ -1,7 +1,5 @@
 """Logs and estimates: files that are read, files that are refused and where, files that are written whole."""
 
-from __future__ import annotations
-
 import os
 import re
 import struct

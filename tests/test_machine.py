@@ -1,7 +1,5 @@
 """The machine file: what is read, what is filled in, and what is refused and how."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -403,11 +401,7 @@ BAD_VALUES = [
     ('sampling.integrator.scheme = "rk2"', "sampling.integrator.scheme", "rk4 or flow: rk2, bs23 and euler"),
     ('sampling.integrator.scheme = "bs23"', "sampling.integrator.scheme", "rk4 or flow: rk2, bs23 and euler"),
     ('sampling.integrator.scheme = "euler"', "sampling.integrator.scheme", "rk4 or flow: rk2, bs23 and euler"),
-    (
-        'sampling.integrator.velocity = "linear"',
-        "sampling.integrator.velocity",
-        "the velocity is constant from",
-    ),
+    ('sampling.integrator.velocity = "linear"', "sampling.integrator.velocity", "the velocity is constant from"),
     ('sampling.integrator.velocity = "constant"', "sampling.integrator.velocity", "substeps < rate / update_rate"),
     ("sampling.integrator.tolerance = 1e-3", "sampling.integrator.tolerance", "displacement and slow_displacement"),
     ('estimator.kind = "ukf"', "estimator.kind", "'mhe' or 'ekf'"),
@@ -488,11 +482,7 @@ BAD_VALUES = [
         "effects[2].amplitude",
         "amplitude_N",
     ),
-    (
-        'effects = [{ name = "force_ripple", amplitude_N = "1" }]',
-        "effects[1].amplitude_N",
-        "valid number",
-    ),
+    ('effects = [{ name = "force_ripple", amplitude_N = "1" }]', "effects[1].amplitude_N", "valid number"),
     ('effects = [{ name = "force_ripple", pitch_m = nan }]', "effects[1].pitch_m", "number"),
     ('effects = [{ name = "force_ripple", pitch_m = -0.032 }]', "effects[1].pitch_m", "number from 1e-06"),
     # log

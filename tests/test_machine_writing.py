@@ -1,7 +1,5 @@
 """Values of machine files that are written: what is read back is what was meant."""
 
-from __future__ import annotations
-
 import shutil
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benchmark of measured records, on a simulated record that stands for a measured one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

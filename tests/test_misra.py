@@ -1,7 +1,5 @@
 """Rules of MISRA C:2012: emitted code has no hit without a reason, and a hit is found."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

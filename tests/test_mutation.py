@@ -1,7 +1,5 @@
 """Faults in emitted C that the package's self-test has to notice: by hand all, at random most (make verify: more)."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator
@@ -112,10 +110,7 @@ SURVIVED = {
     "parameter set into the old window": ("    start_window(self, x, self->estimate.root);\n", ""),
     "sweep of the one before": ("        self->sweep.back = back > self->sweep.back ? back : self->sweep.back;\n", ""),
     "mean of the prior at zero": ("factor[i * FACTOR_WIDTH + FACTOR_ROWS] = inverse_sd[i] * x[i];", ";"),
-    "filters of an axis at rest that never end": (
-        "    sgms_drop_rest(self->chain.lowpass, SGMS_FILTER_STATES);\n",
-        "",
-    ),
+    "filters of an axis at rest that never end": ("    sgms_drop_rest(self->chain.lowpass, SGMS_FILTER_STATES);\n", ""),
     "shifts of the window not counted": (
         "self->sweep.shifts = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;",
         "self->sweep.back = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;",
@@ -124,10 +119,7 @@ SURVIVED = {
     "friction of an axis before": ("    self->estimate.friction = 0.0;\n", "    self->interval.friction = 0.0;\n"),
     "test ratio not loaded": ("    self->estimate.ratio = saved->ratio;\n", ""),
     "upper bounds for the drift": ("copy(settings->upper, upper_bound", "copy(settings->drift, upper_bound"),
-    "slow motion never counted": (
-        "self->interval.net += self->input",
-        "self->interval.friction += self->input",
-    ),
+    "slow motion never counted": ("self->interval.net += self->input", "self->interval.friction += self->input"),
     "sum of means over another": (
         "sum = add_bits(sum, self->lasting.theta, PARAMETERS);",
         "sum = add_bits(sum, self->estimate.theta, PARAMETERS);",

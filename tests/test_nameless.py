@@ -1,7 +1,5 @@
 """Effects that help to predict but are no causes: they stay in the machine without a name, and are said to be none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The noise floor of records that hold more than noise: pushes, reversals, cogging, a wrong law; coloured noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A cause explains a force, not an encoder's noise; and what is only a curve over speed is no ageing contact."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

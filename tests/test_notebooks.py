@@ -1,7 +1,5 @@
 """Worked examples: notebooks are what their scripts give, and run from the first cell to the last."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

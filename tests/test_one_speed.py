@@ -1,7 +1,5 @@
 """A record of one speed, one way: its cogging is found at any cutoff, and what one speed cannot tell is said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,13 +54,7 @@ def one_way(turns: float, order: int, step: float, seed: int) -> Log:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("cutoff", "turns", "order", "step"),
-    [
-        (100.0, 1.0, 72, 1e-4),
-        (60.0, 0.8, 48, 5e-4),
-    ],
-)
+@pytest.mark.parametrize(("cutoff", "turns", "order", "step"), [(100.0, 1.0, 72, 1e-4), (60.0, 0.8, 48, 5e-4)])
 def test_cogging_at_one_speed_is_found_at_any_cutoff(cutoff: float, turns: float, order: int, step: float) -> None:
     found = diagnose(rotor(cutoff), one_way(turns, order, step, seed=order))
     assert found.verdict in ("explained", "ambiguous")

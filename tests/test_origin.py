@@ -1,7 +1,5 @@
 """Origin of an axis's position along a first motion: where it is found, where it is not, and what the C makes of it."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

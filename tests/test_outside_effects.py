@@ -1,7 +1,5 @@
 """Effects that other distributions bring: one that works, through every command, and those that are broken."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Emitted packages as a firmware project takes them: bytes, compilers, linking, calls, impossible input."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import os
@@ -370,10 +368,7 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
     made = [compile_object(require_tool("gcc"), source, "-std=c99", "-O2") for source in sources]
     tool = require_tool("g++" if language == "c++" else "gcc")
     dialect = ["-std=c++11", "-Wpedantic"] if language == "c++" else ["-std=c99", "-pedantic"]
-    names = [
-        *("-DFIRST=etel_xy", '-DFIRST_HEADER="etel_xy.h"'),
-        *("-DSECOND=lower", '-DSECOND_HEADER="lower.h"'),
-    ]
+    names = [*("-DFIRST=etel_xy", '-DFIRST_HEADER="etel_xy.h"'), *("-DSECOND=lower", '-DSECOND_HEADER="lower.h"')]
     program = tmp_path / "program"
     files = [*(f"-I{p}" for p in packages), "-x", language, PROBES / "side_by_side.c", "-x", "none", *made]
     run(tool, dialect, "-Wall", "-Wextra", "-Werror", names, files, "-o", program, "-lm")
@@ -1041,8 +1036,7 @@ def test_solution_that_is_not_finite_is_refused(precision: str, changes: dict[st
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "precision"),
-    [("mhe", "double"), ("mhe auto", "double"), ("mhe newest", "single"), ("ekf", "single")],
+    ("kind", "precision"), [("mhe", "double"), ("mhe auto", "double"), ("mhe newest", "single"), ("ekf", "single")]
 )
 def test_sanitizers_find_nothing(precision: str, kind: str, require_tool: Tool, tmp_path: Path) -> None:
     """ASan and UBSan over the hostile logs, one task and two; the program prints every estimate."""

@@ -1,7 +1,5 @@
 """What an installation carries, and the rule that CI does not skip."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -162,8 +160,7 @@ def test_skip_of_a_whole_module_fails_a_ci_session(
     monkeypatch.setenv("SGMS_MHE_CI", "1")
     pytester.makeconftest((repo_root / "tests" / "conftest.py").read_text())
     pytester.makepyfile(
-        test_a="def test_runs():\n    pass\n",
-        test_b="import pytest\n\npytest.importorskip('no_such_module')\n",
+        test_a="def test_runs():\n    pass\n", test_b="import pytest\n\npytest.importorskip('no_such_module')\n"
     )
     result = pytester.runpytest_subprocess("-n", "2")
     assert result.ret == 1

@@ -1,7 +1,5 @@
 """Work on several cores: the same results to the bit, whatever their number, and nothing run or compiled twice."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Records of one axis that each move a payload of their own: `[log] payload = true`."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace

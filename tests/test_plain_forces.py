@@ -1,7 +1,5 @@
 """Effects that are plain forces: beside a compiled model they give what it gives with them compiled in."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -111,10 +109,7 @@ def test_force_beside_a_model_is_the_model_with_it(
     ],
 )
 def test_several_forces_and_a_delay_of_all_of_them(
-    names: tuple[str, ...],
-    machine: Machine,
-    recordings: tuple[Recording, Recording],
-    monkeypatch: pytest.MonkeyPatch,
+    names: tuple[str, ...], machine: Machine, recordings: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording, extras = recordings[0], extras_of(*names)
     apart = make_model(machine, extras)

@@ -1,7 +1,5 @@
 """What identification hands over at least: numbers of least squares, and no more elements than logs tell apart."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

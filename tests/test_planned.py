@@ -1,7 +1,5 @@
 """The next experiment: whether the move that is to tell two causes apart does."""
 
-from __future__ import annotations
-
 import pytest
 
 from sgms_bench.diagnosis.planned import PlannedExperiment, run_experiment, verdict_on

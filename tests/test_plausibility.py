@@ -1,7 +1,5 @@
 """Logs that no axis can have left: refused by every command that reads one, with what was seen and what to write."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The map over position: its table against its sines, lists in machine files, the emitted table, and its diagnosis."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The comparison of a model with a log: which rows count, what decimation leaves, the published force errors."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

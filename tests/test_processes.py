@@ -1,7 +1,5 @@
 """Tasks in processes: every one has its outcome once, whatever the others do; what is done is kept."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

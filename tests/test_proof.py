@@ -1,7 +1,5 @@
 """Static proof by Frama-C/Eva that no call leaves its memory, and that it finds an index that does."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

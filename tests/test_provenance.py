@@ -1,7 +1,5 @@
 """The digest of the caches: all sources of a package's bytes, found and not listed. And what no package holds of it."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -1,7 +1,5 @@
 """Friction readings inside intervals, what each of them counts, and what faults in them do to the estimate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any

@@ -1,7 +1,5 @@
 """C examples of the documents compile against the committed package, with every warning an error."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Callable

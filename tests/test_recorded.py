@@ -7,8 +7,6 @@ What has moved shows as a diff of two folders, one written at the commit before 
 in git. The banner that names machine and sources by their digests does not count.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

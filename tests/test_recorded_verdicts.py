@@ -6,8 +6,6 @@ A draw stands there as it was drawn, so that its log stays the same whatever bec
 have to be the recorded ones; numbers may be apart by what another processor's numerical libraries make of them.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

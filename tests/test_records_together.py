@@ -1,7 +1,5 @@
 """Causes sought in several records as one: what the first does not show, what is weak in each, a strange first one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

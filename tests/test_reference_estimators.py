@@ -1,7 +1,5 @@
 """Reference MHE, EKF and smoother: the Kalman filter on a linear model, bounds by enumeration, statuses."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Any

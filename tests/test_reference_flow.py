@@ -1,7 +1,5 @@
 """Displacement flow of the reference: against an ODE solver, its own algebra, and the Runge-Kutta integrator."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath

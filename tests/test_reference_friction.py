@@ -1,7 +1,5 @@
 """The S-GMS law through the reference integrator: what the model must do, whatever integrates it."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The reference integrator: order, plan, sensitivities, and its two ways to run the same loops."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Refusals of logs: each with a log that makes it for that reason, and one that nearly makes it and is read."""
 
-from __future__ import annotations
-
 import gzip
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

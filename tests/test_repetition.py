@@ -1,7 +1,5 @@
 """When time and the motion are one clock."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -39,10 +37,7 @@ def test_one_speed_is_a_clock_where_it_is_kept() -> None:
 
 @pytest.mark.parametrize(
     "moves",
-    [
-        [(3.0 * SPEED, SPEED), (6.0 * SPEED, 2.0 * SPEED)],
-        [(3.0 * SPEED, SPEED), (-3.0 * SPEED, SPEED)],
-    ],
+    [[(3.0 * SPEED, SPEED), (6.0 * SPEED, 2.0 * SPEED)], [(3.0 * SPEED, SPEED), (-3.0 * SPEED, SPEED)]],
     ids=["two speeds", "out and back"],
 )
 def test_more_than_one_speed_is_none(moves: list[tuple[float, float]]) -> None:

@@ -7,8 +7,6 @@ The log (3 s in closed loop: presliding loops, moves at 2 mm/s and 0.3 m/s, stan
 whole nanometres and millinewtons.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

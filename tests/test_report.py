@@ -1,7 +1,5 @@
 """The report of a diagnosis: whole, valid, without a network, and right in what it says."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math
@@ -330,11 +328,7 @@ def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_pa
     spring = Alternative("position_spring", f"fits as well as {name}", True, name, {"stiffness_N_m": 3.3}, 0.0)
     itself = Alternative(name, "named; fits as well as position_spring", True, None, {}, 0.0)
     ripple = cases.explained(machine).causes[0]
-    diagnosis = replace(
-        first,
-        causes=(ripple, offset),
-        alternatives=(spring, itself),
-    )
+    diagnosis = replace(first, causes=(ripple, offset), alternatives=(spring, itself))
     words = read(write_report(diagnosis, tmp_path)).words
     assert "Found: force periodic in position (0.797 ± 0.012 N)." in words
     assert "Constant force, independent of motion or force proportional to position?" in words

@@ -1,7 +1,5 @@
 """Reports as a browser shows them: wide and narrow, light and dark, nothing clipped, faint, fetched or wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final

@@ -1,7 +1,5 @@
 """Axes that turn: the twin of a linear axis has its numbers to the last bit, under names and units of its own."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """A diagnosis does not hang on the file's numbers: from rough ones it finds what it finds from the true ones."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

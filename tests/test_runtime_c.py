@@ -1,7 +1,5 @@
 """The hand-written C alone: elementary functions, small least squares, signal chain, in both precisions."""
 
-from __future__ import annotations
-
 import ctypes
 import dataclasses
 import itertools

@@ -1,7 +1,5 @@
 """The self-test that a package brings: 0 on every compiler and target, and not 0 where a number is another."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Callable

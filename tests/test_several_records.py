@@ -1,7 +1,5 @@
 """Causes fitted to several records and judged on each: other origins, temperatures, a cause that only one has."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

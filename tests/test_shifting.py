@@ -1,7 +1,5 @@
 """Series that are moved in time: judged by polynomials, and by differences."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The simulated axis: friction laws, mechanics, sensors and effects against physics worked out here once more."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -819,10 +817,7 @@ def test_resonance_that_the_substeps_do_not_resolve_is_refused(machine: Machine)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize(
     "effect",
-    [
-        ("position_spring", {"stiffness_N_m": -16e6, "centre_m": 0.0}),
-        ("asymmetric_viscous", {"difference_N_s_m": 2e6}),
-    ],
+    [("position_spring", {"stiffness_N_m": -16e6, "centre_m": 0.0}), ("asymmetric_viscous", {"difference_N_s_m": 2e6})],
     ids=lambda effect: str(effect[0]),
 )
 def test_axis_that_runs_away_is_refused(machine: Machine, effect: tuple[str, dict[str, float]], law: str) -> None:

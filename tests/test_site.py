@@ -1,7 +1,5 @@
 """The documents as a site: built strictly, whole without a network, every page in reach, references complete."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import os

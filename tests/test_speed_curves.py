@@ -1,7 +1,5 @@
 """Curves over speed add up to nearly any other one: what they miss says that they only stand in for it."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Records whose directions have speeds of their own: friction over speed and gravity are one there, which is said."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

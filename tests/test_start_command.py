@@ -1,7 +1,5 @@
 """`sgms-mhe start`: a machine file to begin with, which every other command takes; a first look at a log."""
 
-from __future__ import annotations
-
 import html
 import json
 import math

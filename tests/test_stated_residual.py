@@ -1,7 +1,5 @@
 """Residual and noise floor of one log: the same numbers under these names, whichever command states them."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -59,9 +57,7 @@ def write_log(path: Path, *, step: float, rotary: bool, gap: bool, seed: int) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("step", "rotary", "gap"),
-    [(2.0 * np.pi / 2**16, True, False), (3e-7, False, True)],
-    ids=["geared joint", "gap"],
+    ("step", "rotary", "gap"), [(2.0 * np.pi / 2**16, True, False), (3e-7, False, True)], ids=["geared joint", "gap"]
 )
 def test_one_number_has_one_name(step: float, rotary: bool, gap: bool, tmp_path: Path) -> None:
     """The file's head has two thirds of the log fitted; what comes after has all of it, along the same record."""

@@ -3,8 +3,6 @@
 python tests/test_stated_results.py --update    run them again, record the numbers, and write the pages
 """
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -3,8 +3,6 @@
 python tests/test_stated_stack.py --update    measure again, and write the table
 """
 
-from __future__ import annotations
-
 import re
 import sys
 import tempfile

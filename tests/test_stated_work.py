@@ -1,7 +1,5 @@
 """The work that a package states: never less than what is counted, whatever comes in; and the budget of a tick."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

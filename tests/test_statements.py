@@ -1,7 +1,5 @@
 """Statements: one object of each judgement, and every output says what it says."""
 
-from __future__ import annotations
-
 import math
 import string
 from collections.abc import Callable

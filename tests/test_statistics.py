@@ -1,7 +1,5 @@
 """Statistics of the estimator, small and seeded; `python -m sgms_bench.studies` runs the large versions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,8 +4,6 @@ And what keeps them fit to live in: nothing is imported in hiding, and no effect
 catalogue: what is said of one stands in its definition.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Elements that switch: the clip, its derivatives, merged samples, the emitted C, what does not go with it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

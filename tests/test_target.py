@@ -1,7 +1,5 @@
 """The package on emulated microcontrollers: the host's numbers, exact counts, memory; and command `target`."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping
@@ -283,7 +281,7 @@ def test_command_prints_one_table(small_file: Path, tmp_path: Path) -> None:
 def test_command_prints_json(small_file: Path) -> None:
     result = json.loads(done("target", small_file, "--updates", "10", "--json").stdout)
     assert list(result) == [
-        *("machine", "core", "updates", "instructions", "calibration", "bytes", "double_arithmetic", "host"),
+        *("machine", "core", "updates", "instructions", "calibration", "bytes", "double_arithmetic", "host")
     ]
     assert result["updates"] == 10
     assert list(result["instructions"]) == ["update", "feedback", "prepare", "sample", "tick", "estimate"]

@@ -1,7 +1,5 @@
 """Two tasks on one axis: a call that comes into another is harmless, or refused; never another number in silence."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """What a person at a terminal gets beside results: completion by the shell, progress, colours and none."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

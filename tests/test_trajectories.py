@@ -1,7 +1,5 @@
 """Reference trajectories: continuous, within their limits, closed where they are to be repeated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

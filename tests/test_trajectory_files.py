@@ -1,7 +1,5 @@
 """A plan's CSV, or a controller's, as the reference of a simulated axis."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

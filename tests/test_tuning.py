@@ -1,7 +1,5 @@
 """Weights out of a log: those of the noise that is there, nothing where the file is right, and what `estimate` says."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

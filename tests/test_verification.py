@@ -1,7 +1,5 @@
 """The bounded part of `make verify`; and that each of its checks finds what it is there to find."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,10 +14,7 @@ from sgms_bench.verification.coverage import check_coverage, measure
 from sgms_bench.verification.fuzzing import SANITIZERS, fuzz_package
 from sgms_bench.verification.gaps import Gap
 from sgms_bench.verification.limits import check_limits
-from sgms_bench.verification.mcdc import (
-    UNDECIDED,
-    check_conditions,
-)
+from sgms_bench.verification.mcdc import UNDECIDED, check_conditions
 from sgms_bench.verification.specimens import SPECIMENS, specimen, specimens
 from sgms_bench.verification.syntax import syntax_tree
 from sgms_bench.verification.upsets import check_upsets

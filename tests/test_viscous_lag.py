@@ -1,7 +1,5 @@
 """A film that follows speed late is found in a log, with the friction curve that it carries, and without one."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pytest
@@ -9,12 +7,7 @@ import pytest
 from record_cases import simulate_log, slow_axis
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 
-CURVE = {
-    "speed_m_s": (0.02, 0.08),
-    "forward_N": (1.6, 2.4),
-    "backward_N": (1.5, 2.0),
-    "end_m_s": 0.4,
-}
+CURVE = {"speed_m_s": (0.02, 0.08), "forward_N": (1.6, 2.4), "backward_N": (1.5, 2.0), "end_m_s": 0.4}
 
 
 @cache

@@ -1,7 +1,5 @@
 """docs/walk.md: its commands as they are typed, from a trace to firmware, and what they print held together."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

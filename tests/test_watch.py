@@ -3,8 +3,6 @@
 `python tests/test_watch.py` prints the share of one core that following a 20 kHz log takes.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

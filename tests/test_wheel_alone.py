@@ -1,7 +1,5 @@
 """Somebody with the wheel in an environment of its own: a joint in Python, and the commands, without a checkout."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Work of one tick is bounded, whatever comes in: by that of a motion at max_velocity."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The yardstick's table is what its program prints, and the export of a filter is the filter by hand."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -5,8 +5,6 @@ it, or what the call before handed out; on one of the ways to call an axis. Outp
 call returns, and each field of a structure that it fills.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Motions that variants of an estimator are timed and checked on."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

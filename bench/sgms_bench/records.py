@@ -3,8 +3,6 @@
 Truth is compared where the estimator stands: behind the same filters and delays as its signals.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -77,10 +75,7 @@ def simulate_record(
 ) -> Record:
     """Move an axis whose true stiffness is `stiffness` (n_z) times the machine's; other parameters are nominal."""
     path = make_trajectory(
-        trajectory,
-        machine.sampling.rate,
-        duration_s=duration_s,
-        max_velocity=machine.sampling.max_velocity,
+        trajectory, machine.sampling.rate, duration_s=duration_s, max_velocity=machine.sampling.max_velocity
     )
     run = simulate_axis(machine, path, config, scale={"stiffness": list(stiffness)})
     return record_of(machine, run, stiffness)

@@ -1,7 +1,5 @@
 """Export a step of the filter of ekf.c by CasADi, as its users write it: one symbolic function."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -5,8 +5,6 @@ and 143 interrupted. Every command is a module of its own, in `commands` or in a
 when it is asked for.
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import os

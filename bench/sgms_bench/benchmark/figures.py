@@ -1,7 +1,5 @@
 """Figures of a benchmark: work against precision, cost against the size of the problem."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """The emitted C in `bench/c/harness.c`: compiled, timed, its instructions counted."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Errors of the emitted integrator at an interval's end, and of its derivatives, against a converged solution."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,8 +9,6 @@ weights nor arrival cost nor the solution are part of it. Two ways, as CasADi's 
     propagated   the step with its sensitivities (forward mode, sparse), called by a loop in C
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -177,10 +175,7 @@ class PeerExport:
                 options,
             ),
             "measure": ca.Function(
-                "measure",
-                [x, w, theta, y],
-                [output - y, ca.jacobian(output, x), ca.jacobian(output, theta)],
-                options,
+                "measure", [x, w, theta, y], [output - y, ca.jacobian(output, x), ca.jacobian(output, theta)], options
             ),
         }
 

@@ -1,7 +1,5 @@
 """Results of the benchmark: variants, peers, the cost over the problem's size."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

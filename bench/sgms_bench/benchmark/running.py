@@ -7,8 +7,6 @@ Jacobian of one window and nothing else: no signals, no solution, no arrival cos
 compare between machines; time is that of this host, and says something as a ratio within one run.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial

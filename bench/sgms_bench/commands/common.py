@@ -1,7 +1,5 @@
 """Options that commands of the workbench share."""
 
-from __future__ import annotations
-
 import shlex
 
 import click

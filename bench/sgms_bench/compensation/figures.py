@@ -1,7 +1,5 @@
 """Figures of friction compensation: error around a reversal, the circle's contour, settling, parameters followed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final

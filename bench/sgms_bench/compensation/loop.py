@@ -1,7 +1,5 @@
 """An estimator in the loop of a simulated axis, called without the interpreter in between: `bench/c/loop.c`."""
 
-from __future__ import annotations
-
 import ctypes
 
 import numpy as np

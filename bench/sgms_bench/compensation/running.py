@@ -6,8 +6,6 @@ sample by sample; what it returns adds to the position controller's force. The c
 round and has an instance of its own.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Axes of the logs: linear or turning, and the law of friction that their machine files state."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, Literal
 

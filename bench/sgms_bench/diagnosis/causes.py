@@ -4,8 +4,6 @@ The size of a cause is the force it adds to the measured friction along the moti
 over the Coulomb level: for a ripple its amplitude, for what acts after reversals only what it reaches there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Logs whose sign, unit or columns are wrong: no cause explains them, and none may be named."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Random motions for logs that a diagnosis is tried on: what an axis does at work, and what a test of it would do."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial

@@ -4,8 +4,6 @@ Where a diagnosis is `ambiguous` it hands out a trajectory (`plan --separate A B
 say one name, the right one, whichever of the two is hidden and whichever law the axis obeys.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

@@ -1,7 +1,5 @@
 """The benchmark as a whole: draws, diagnoses in processes, results on disk as they come."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

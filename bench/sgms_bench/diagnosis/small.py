@@ -1,7 +1,5 @@
 """How small a cause may be: each one hidden alone, in sizes that are asked for, on both laws of friction."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """How a benchmark hides a cause in a log: the ranges that its numbers are drawn from, and what sizes it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -202,8 +200,7 @@ SPECIMENS: Final[Mapping[str, Specimen]] = {
         lambda scene: scene.scales.coulomb / scene.speed**2,
         signed=False,
         concealed=Concealed(
-            "presliding",
-            lambda scales: {"coefficient_N_s2_m2": scales.coulomb_over_speed / scales.speed},
+            "presliding", lambda scales: {"coefficient_N_s2_m2": scales.coulomb_over_speed / scales.speed}
         ),
     ),
     "eddy_current_damping": Specimen(
@@ -212,10 +209,7 @@ SPECIMENS: Final[Mapping[str, Specimen]] = {
         signed=False,
         concealed=Concealed(
             "presliding",
-            lambda scales: {
-                "damping_N_s_m": scales.coulomb_over_speed,
-                "corner_velocity_m_s": 0.3 * scales.speed,
-            },
+            lambda scales: {"damping_N_s_m": scales.coulomb_over_speed, "corner_velocity_m_s": 0.3 * scales.speed},
         ),
     ),
     "encoder_periodic_error": ripple("amplitude_m", lambda _: 1e-7),
@@ -242,10 +236,7 @@ SPECIMENS: Final[Mapping[str, Specimen]] = {
     ),
     "dwell_dependence": Specimen(
         lambda _, p, x: {"ratio": min(x, 3.0), **p},
-        (
-            Range("time_constant_s", 0.05, 0.3),
-            Range("length_m", 0.3, 2.0, lambda scene: scene.scales.deflection),
-        ),
+        (Range("time_constant_s", 0.05, 0.3), Range("length_m", 0.3, 2.0, lambda scene: scene.scales.deflection)),
         signed=False,
     ),
     "micro_viscous": one_number("damping_N_s_m", lambda scene: scene.scales.coulomb / scene.speed, signed=False),

@@ -1,7 +1,5 @@
 """Forces that no effects of the catalogue can represent: what is left has to be called unexplained."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

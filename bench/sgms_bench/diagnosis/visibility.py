@@ -1,7 +1,5 @@
 """Visible part of a force, once the base model's numbers have absorbed their share."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

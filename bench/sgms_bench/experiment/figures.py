@@ -1,7 +1,5 @@
 """Figures of the paper's experiment: 3 (hysteresis), 6 (signals), 7 (friction), 8 (stiffness)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ The axis moves in closed loop, its encoder counts steps, its force carries noise
 one. Truth is compared where the estimator stands: behind the same filters and delays as its signals.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 `python -m sgms_bench.logs --draws 200`
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

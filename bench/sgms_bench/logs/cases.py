@@ -3,8 +3,6 @@
 The friction of an axis is one element: a spring until it slips at the Coulomb level, and viscous friction beside it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final

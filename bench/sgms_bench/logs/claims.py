@@ -1,7 +1,5 @@
 """Sentences of the product that claim something of a log, and the facts that make them true."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

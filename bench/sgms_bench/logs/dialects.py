@@ -1,7 +1,5 @@
 """Dialects that people's files have: a writer of a log each, and the [log] that reads it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -251,9 +249,7 @@ DIALECTS: dict[str, Dialect] = {
     "UTF-16 big end first, no mark": Dialect(".txt", text("\t", encoding="utf-16-be")),
     "UTF-16 little end first, no mark": Dialect(".txt", text("\t", encoding="utf-16-le")),
     "Latin-1, micrometres": Dialect(
-        ".csv",
-        text(";", names=("t [s]", "x [µm]", "F [N]"), scaled=(1.0, 1e6, 1.0), encoding="latin-1"),
-        exact=False,
+        ".csv", text(";", names=("t [s]", "x [µm]", "F [N]"), scaled=(1.0, 1e6, 1.0), encoding="latin-1"), exact=False
     ),
     "unit row": Dialect(
         ".csv", text(",", names=("Time", "Position", "Force"), units="ms,mm,N", scaled=MILLI), exact=False
@@ -276,14 +272,7 @@ DIALECTS: dict[str, Dialect] = {
     "counts of 16 bits by [log]": Dialect(
         ".csv",
         write_counts,
-        {
-            "position_m": {
-                "variable": "encoder",
-                "unit": "counts",
-                "counts_per": COUNTS_PER_METRE,
-                "wrap": 65536.0,
-            }
-        },
+        {"position_m": {"variable": "encoder", "unit": "counts", "counts_per": COUNTS_PER_METRE, "wrap": 65536.0}},
         exact=False,
     ),
     "preamble": Dialect(".csv", text(";", before=(*PREAMBLE, *("# comment",) * 40))),
@@ -292,18 +281,14 @@ DIALECTS: dict[str, Dialect] = {
     "summary": Dialect(".csv", text(";", after=SUMMARY)),
     "separator behind each row": Dialect(".csv", text(";", change=lambda rows: [f"{row};" for row in rows])),
     "groups of thousands": Dialect(
-        ".csv",
-        text(";", names=("t [us]", "x [m]", "F [N]"), number=group_digits, scaled=(1e6, 1.0, 1.0)),
-        exact=False,
+        ".csv", text(";", names=("t [us]", "x [m]", "F [N]"), number=group_digits, scaled=(1e6, 1.0, 1.0)), exact=False
     ),
     "typeset minus, cells in brackets": Dialect(
         ".csv", text(",", number=lambda value: f"[{value!r}]".replace("-", "\N{MINUS SIGN}"))
     ),
     "exponents with D": Dialect(".csv", text(",", number=lambda value: f"{value:.17e}".replace("e", "D"))),
     "no header": Dialect(
-        ".csv",
-        text(",", names=None),
-        {"time_s": "column 1", "position_m": "column 2", "force_N": "column 3"},
+        ".csv", text(",", names=None), {"time_s": "column 1", "position_m": "column 2", "force_N": "column 3"}
     ),
     "names twice": Dialect(
         ".csv",
@@ -343,17 +328,9 @@ DIALECTS: dict[str, Dialect] = {
         },
         exact=False,
     ),
-    "HDF5": Dialect(
-        ".h5",
-        hdf5,
-        {name: {"member": f"run.axis.{name}"} for name in OWN},
-        library="h5py",
-    ),
+    "HDF5": Dialect(".h5", hdf5, {name: {"member": f"run.axis.{name}"} for name in OWN}, library="h5py"),
     "MAT v7.3": Dialect(
-        ".mat",
-        mat_v73,
-        {name: {"member": "rec.all", "row": k + 1} for k, name in enumerate(OWN)},
-        library="h5py",
+        ".mat", mat_v73, {name: {"member": "rec.all", "row": k + 1} for k, name in enumerate(OWN)}, library="h5py"
     ),
     "JSON lines": Dialect(".jsonl", json_lines),
     "JSON, a list": Dialect(".json", json_list),

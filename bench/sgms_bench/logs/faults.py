@@ -1,7 +1,5 @@
 """Faults of logs: what each does to a good one, and what must come: the log, or the reason why not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path

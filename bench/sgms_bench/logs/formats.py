@@ -1,7 +1,5 @@
 """Formats of recorders: a writer each of any channels, the first of which may be time."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Layouts of files of channels: tables of text, exports of scopes, long format, arrays of structs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

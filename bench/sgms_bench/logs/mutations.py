@@ -3,8 +3,6 @@
 Each mutated log is inspected. One that is read is then estimated, predicted, identified, ... along.
 """
 
-from __future__ import annotations
-
 import resource
 import signal
 import time
@@ -286,10 +284,7 @@ def _draw_flags(rng: Rng) -> tuple[str, ...]:
 def _arguments(command: str, log: Path, machine: Path, folder: Path) -> list[str | Path]:
     out = {"identify": "found.toml", "start": "found.toml", "diagnose": "diagnosis"}.get(command, "out.csv")
     owner: list[str | Path] = [] if command in ("identify", "start") else [machine]
-    more: dict[str, list[str | Path]] = {
-        "watch": ["--speed", "max"],
-        "start": ["--mass", "3", "--rate", "1000"],
-    }
+    more: dict[str, list[str | Path]] = {"watch": ["--speed", "max"], "start": ["--mass", "3", "--rate", "1000"]}
     ends: list[str | Path] = [] if command in ("compare", "tune") else ["--out", folder / out]
     return [*owner, log, *more.get(command, []), *ends]
 

@@ -1,7 +1,5 @@
 """Drawn logs through the command line, in this process, and what came of each."""
 
-from __future__ import annotations
-
 import json
 import re
 import traceback

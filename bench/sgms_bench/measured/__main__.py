@@ -3,8 +3,6 @@
 `python -m sgms_bench.measured FOLDER --table FILE`
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

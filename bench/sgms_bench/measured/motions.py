@@ -1,7 +1,5 @@
 """Commanded axes: fitted to some runs, compared by free runs with the same runs again."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Measured records by their protocol: fitted on one stretch, compared on another one."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Table of measured records: files, columns, protocol and published numbers, as TOML."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path

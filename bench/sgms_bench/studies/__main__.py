@@ -11,8 +11,6 @@ short moves. `others` takes joints of MuJoCo and of better-actuator-models as ax
 wherever it runs, but for times.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Random axes in closed loop: what the machine file says, how the true axis is drawn, and what is counted of it."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -64,11 +62,7 @@ def simulate_case(machine: Machine, case: Case, seed: int, duration_s: float) ->
     rng = np.random.default_rng([seed, 2])
     config = AxisConfig(force_noise_N=case.force_noise_N, seed=seed)
     return simulate_record(
-        machine,
-        case.stiffness(rng).tolist(),
-        trajectory=case.trajectory,
-        duration_s=duration_s,
-        config=config,
+        machine, case.stiffness(rng).tolist(), trajectory=case.trajectory, duration_s=duration_s, config=config
     )
 
 

@@ -4,8 +4,6 @@ Linear and rotary axes, some with gravity, read 5 to 500 encoder steps per presl
 short production moves alone, some with readings off their stamps.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

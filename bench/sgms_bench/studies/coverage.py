@@ -1,7 +1,5 @@
 """Data from the estimator's own noise model: whether its standard deviations are true."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal

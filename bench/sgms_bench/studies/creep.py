@@ -1,7 +1,5 @@
 """Parameters followed over 10^5 updates: whether they creep, and to where."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -35,10 +33,7 @@ class Formulation:
 
 FORMULATIONS: Final[tuple[Formulation, ...]] = (
     Formulation("paper: fixed, deflection, 0.1", PAPER_WEIGHTS | {"bounds": {"stiffness": [0.2, 5.0]}}),
-    Formulation(
-        "riccati alone",
-        {"noise": {"state": 0.1, "measurement": 0.5, "state_as": "deflection"}},
-    ),
+    Formulation("riccati alone", {"noise": {"state": 0.1, "measurement": 0.5, "state_as": "deflection"}}),
     Formulation(
         "force alone (fixed)",
         PAPER_WEIGHTS | {"noise": PAPER_WEIGHTS["noise"] | {"state_as": "force"}, "bounds": {"stiffness": [0.2, 5.0]}},

@@ -1,7 +1,5 @@
 """Faults of sensors, wires and clocks put into good logs, and what the emitted estimators make of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Axes drawn at random, identified from their logs alone: is what they leave that of the truth, are intervals true."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

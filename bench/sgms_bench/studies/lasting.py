@@ -1,7 +1,5 @@
 """Errors of the model that stay in good logs: how often the truth is beyond what the emitted estimators state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -36,11 +34,7 @@ WITH_LEVEL: Final = "force of a place and level"
 STATED: Final[Mapping[str, Mapping[str, Any]]] = {
     UNCERTAIN: {"disturbance": {"mass": 0.01, "gain": 0.01}},
     FOLLOWED: {"disturbance": {"force": 0.2}},
-    WITH_LEVEL: {
-        "disturbance": {"force": 0.2},
-        "parameters": ["stiffness", "coulomb"],
-        "prior": {"coulomb": 0.1},
-    },
+    WITH_LEVEL: {"disturbance": {"force": 0.2}, "parameters": ["stiffness", "coulomb"], "prior": {"coulomb": 0.1}},
 }
 """Changes of [estimator] of the study: what a user states of the errors."""
 _ESTIMATORS: Final[Mapping[str, Mapping[str, Any]]] = dict(VARIANTS) | {

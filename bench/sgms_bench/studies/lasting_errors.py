@@ -1,7 +1,5 @@
 """Differences between an axis and its machine file that stay: numbers that are off, effects that the file has not."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal

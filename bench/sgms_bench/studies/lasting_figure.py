@@ -1,7 +1,5 @@
 """Picture of one log with an error that stays: the estimate with the deviations of its covariance, and the stated."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

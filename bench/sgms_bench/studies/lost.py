@@ -1,7 +1,5 @@
 """Samples that are lost, late or early from the first one on: what the emitted estimators still learn."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """MHE, EKF and batch smoother over random axes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final

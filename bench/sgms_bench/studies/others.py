@@ -5,8 +5,6 @@ noisy torque; `identify` makes the machine file of that log alone, `diagnose` ju
 C, called through its Python binding, feeds the friction forward to the same plant on a third motion.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import sys

@@ -1,22 +1,12 @@
 """Coverage on the axis in closed loop, whose noise is not what the estimator assumes."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_bench.experiment.running import PAPER_WEIGHTS, papers
-from sgms_bench.studies.cases import (
-    Case,
-    done_of,
-    factor_of_two,
-    positive,
-    simulate_case,
-    spread,
-    weight_changes,
-)
+from sgms_bench.studies.cases import Case, done_of, factor_of_two, positive, simulate_case, spread, weight_changes
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine

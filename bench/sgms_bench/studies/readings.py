@@ -1,7 +1,5 @@
 """Gain of the estimate from more friction measurements per second, and its end where they become too alike."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, Final
@@ -28,8 +26,7 @@ AFTER_S: Final = (3.0, 5.0, 10.0, 20.0)
 def readings_row(rate: float, records: Sequence[Record]) -> dict[str, Any]:
     """Largest relative error of the stiffnesses after each time, coverage and friction error, means over records."""
     machine = override_machine(
-        load_machine("etel_xy"),
-        {"sampling": {"measurement_rate": rate}, "estimator": {"relinearise": "auto"}},
+        load_machine("etel_xy"), {"sampling": {"measurement_rate": rate}, "estimator": {"relinearise": "auto"}}
     )
     estimator = CompiledEstimator(machine)
     nominal = np.array([parameter.nominal for parameter in estimator.model.parameters])

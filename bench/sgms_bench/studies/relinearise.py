@@ -1,7 +1,5 @@
 """Error of the estimate from stored linearisations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Cost of a task beside its work, and a fleet's time over the number of processes."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """Cost of fast moves for the integrators."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Friction fed forward while the axis has what its machine file has not, with and without a force of the place."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """A package cross-compiled and linked for a microcontroller: its size, and what precision its code computes in."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Stack by call path: the deepest one of every function, from the frames and calls that a compiler writes down."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from functools import cache

@@ -6,8 +6,6 @@ the same on every host. They are instructions of the emulated core, not cycles o
 flash memory and its divider, and issues two at a time where it can.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """One estimation problem for friction observers of any origin, on emulated microcontrollers (bench/yardstick)."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile

@@ -6,8 +6,6 @@ that no call leaves its memory, faults in emitted C that its self-test notices. 
 through the whole command line.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The same bits from every compiler, at every level, on every processor: `bench/c/exercise.c`."""
 
-from __future__ import annotations
-
 import struct
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence

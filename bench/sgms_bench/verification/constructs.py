@@ -1,7 +1,5 @@
 """Constructs that emitted C avoids, so that it can be proven: checked in the syntax tree of a compiler."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """Lines and branches of emitted C that its self-test and an exercise of all calls reach; the rest has a reason each."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import re
@@ -150,10 +148,7 @@ def list_programs(folder: Path, name: str) -> dict[str, tuple[list[Path], list[s
         name: of its machine.
     """
     selftest = [C_DIR / "harness.c", folder / f"{name}_selftest.c"]
-    return {
-        "selftest": (selftest, ["-DSGMS_SELFTEST"], ["--selftest"]),
-        "exercise": ([C_DIR / "exercise.c"], [], []),
-    }
+    return {"selftest": (selftest, ["-DSGMS_SELFTEST"], ["--selftest"]), "exercise": ([C_DIR / "exercise.c"], [], [])}
 
 
 def _coverage(content: Mapping[str, Any], folder: Path, name: str) -> Coverage:

@@ -1,7 +1,5 @@
 """Faults written by hand into emitted C, each dangerous on its own; the self-test of a package has to notice them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

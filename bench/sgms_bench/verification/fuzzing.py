@@ -1,7 +1,5 @@
 """Random calls of random packages under sanitizers: `bench/c/fuzz.c` and its parts."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,7 +1,5 @@
 """Lines and branches that neither self-test nor exercise reach, each with the reason why that is as it should be."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Final

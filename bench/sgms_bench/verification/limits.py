@@ -1,7 +1,5 @@
 """Work and stack that a package states, held on emulated processors."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """Random machines: every way through the generator, in sizes that no machine file has yet."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Conditions of emitted C that its self-test and the exercise see decide alone (MC/DC)."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -13,14 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sgms_bench.verification.coverage import list_programs
-from sgms_bench.verification.outcome import (
-    AbsentError,
-    CheckOutcome,
-    definitions,
-    measure_packages,
-    run,
-    run_or_raise,
-)
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, measure_packages, run, run_or_raise
 from sgms_mhe.emission.package import Package, write_package
 from sgms_mhe.machine import Machine
 

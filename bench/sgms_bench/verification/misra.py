@@ -1,7 +1,5 @@
 """Rules of MISRA C:2012 that the addon of cppcheck checks: those without a hit, and the others with their reason."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections import Counter

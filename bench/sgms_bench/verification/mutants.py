@@ -1,7 +1,5 @@
 """Mutants of emitted C, drawn at random: an operator or number of a function changed, or one of its statements."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Outcome of a check, and the tools and programs that checks take."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping, Sequence

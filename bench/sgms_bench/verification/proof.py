@@ -1,7 +1,5 @@
 """Static proof by Frama-C/Eva: no call reads or writes outside of its memory, whatever memory and arguments hold."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -46,7 +44,7 @@ class Alarm:
 ALARMS: Final[Mapping[Alarm, str]] = {
     Alarm(
         "is_nan_or_infinite: \\is_finite(x)", "sgms_index"
-    ): "x is above zero and below a whole number there: a number it is",
+    ): "x is above zero and below a whole number there: a number it is"
 }
 """Alarms that are left, each with the reason why it cannot happen."""
 

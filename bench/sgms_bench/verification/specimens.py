@@ -1,7 +1,5 @@
 """Small machines whose packages, together, hold every kind of code that the generator emits."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """Mutants of emitted C that no judge notices and none has to, each with the reason why."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from sgms_bench.verification.gaps import GUARD, NO_NUMBER, NUMBERS, Gap

@@ -1,7 +1,5 @@
 """The syntax tree of one emitted package, as clang dumps it: functions, what they call, their loops."""
 
-from __future__ import annotations
-
 import json
 import re
 import tempfile

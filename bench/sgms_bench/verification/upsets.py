@@ -1,7 +1,5 @@
 """Single bits flipped in the memory of an axis (`bench/c/upset.c`): none leaves it, few are not told and stay."""
 
-from __future__ import annotations
-
 import math
 import re
 import tempfile

@@ -1,7 +1,5 @@
 """The plant as an FMU: force in, motion out, every number a parameter with its unit."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import sys

@@ -1,7 +1,5 @@
 """Arguments of every function: a machine by path, name or as it was loaded; a log by path, as a Log or as a table."""
 
-from __future__ import annotations
-
 import inspect
 import logging
 import math

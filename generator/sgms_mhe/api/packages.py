@@ -1,7 +1,5 @@
 """Embedded C out of a machine."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Weights of the estimator from a log."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

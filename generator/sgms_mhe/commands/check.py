@@ -29,11 +29,7 @@ def command(machine: Machine, *, json: bool = False) -> None:
 
 
 def _content(machine: Machine) -> dict[str, Any]:
-    return {
-        "source": str(machine.source),
-        "digest": machine.digest,
-        "machine": machine.as_dict(by_alias=True),
-    }
+    return {"source": str(machine.source), "digest": machine.digest, "machine": machine.as_dict(by_alias=True)}
 
 
 def _text(machine: Machine, package: Package) -> str:

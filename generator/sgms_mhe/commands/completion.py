@@ -1,7 +1,5 @@
 """Completion of values by a shell."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Final
 

@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 
 
 @make_command(
-    "diagnose etel_xy log.csv --out diagnosis",
-    "diagnose etel_xy first.csv second.csv",
-    of="diagnosis.diagnose",
+    "diagnose etel_xy log.csv --out diagnosis", "diagnose etel_xy first.csv second.csv", of="diagnosis.diagnose"
 )
 def command(
     machine: Machine,

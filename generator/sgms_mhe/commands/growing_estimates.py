@@ -1,7 +1,5 @@
 """The growing file of estimates that `sgms-mhe watch` writes."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import BinaryIO

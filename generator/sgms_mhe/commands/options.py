@@ -5,8 +5,6 @@ range and the metavar, its entry under `Args:` the help. A command that calls a 
 are marked in its signature too. That function is read and not imported: its module computes.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import math

@@ -1,7 +1,5 @@
 """A machine under another law of friction."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 from sgms_mhe.configuration.resolution import override_machine

@@ -4,8 +4,6 @@ Every default that depends on something else is filled in by the file's tables o
 repeats one.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping

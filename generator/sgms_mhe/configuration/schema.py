@@ -1,7 +1,5 @@
 """The JSON Schema of a machine file, with the effects that are installed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

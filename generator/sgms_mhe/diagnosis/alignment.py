@@ -1,7 +1,5 @@
 """Alignment of a record with a model: decimation for a search, the length of its steps, the timing of its force."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Beginning of a diagnosis: the machine file's numbers, or where the record refutes them those of the record."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -105,12 +103,7 @@ def begin_from_record(
 
 
 def identify_start(
-    recording: Recording,
-    file: Machine,
-    mass: NumberEstimate | None,
-    report: Callable[[str], None],
-    *,
-    has_force: bool,
+    recording: Recording, file: Machine, mass: NumberEstimate | None, report: Callable[[str], None], *, has_force: bool
 ) -> RecordStart | None:
     """Return the numbers that identification finds along a record where the file's are far from them, else None.
 

@@ -5,8 +5,6 @@ model explain is projected out first. What comes out is where a refit of the eff
 decided on these columns alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,12 +19,7 @@ from sgms_mhe.diagnosis.maps import search_periodic
 from sgms_mhe.diagnosis.models import CompiledFit
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
-from sgms_mhe.model.effects import (
-    BASE_CAUSES,
-    EffectDefinition,
-    MotionRecord,
-    effect_definition,
-)
+from sgms_mhe.model.effects import BASE_CAUSES, EffectDefinition, MotionRecord, effect_definition
 from sgms_mhe.model.effects.base import DAMPING, LEVEL
 from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodic, Search, Step, Trials, Unsearched
 from sgms_mhe.model.scales import scales_of
@@ -200,11 +193,7 @@ def _refine_exactly(
         return proposal
     here = replace(seen, recording=choose_rate.recording)
     return propose(
-        definition,
-        here,
-        here.columns(slope),
-        proposal.tests,
-        lambda found: kind.parameters(proposal.parameters, found),
+        definition, here, here.columns(slope), proposal.tests, lambda found: kind.parameters(proposal.parameters, found)
     )
 
 

@@ -1,7 +1,5 @@
 """Causes that hold on data that their fit has not seen: sizes, intervals, gains, and the machine extended by them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping
 from contextlib import suppress
@@ -12,13 +10,7 @@ from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, hangs_on_time, material_
 from sgms_mhe.diagnosis.final_fit import FinalFit, split_rms
 from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, fit_model, report_name, report_values
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import (
-    ParameterGroup,
-    drop_effect,
-    drop_group,
-    machine_groups,
-    smooth_law,
-)
+from sgms_mhe.diagnosis.parametrisation import ParameterGroup, drop_effect, drop_group, machine_groups, smooth_law
 from sgms_mhe.diagnosis.parts import Cause, Rms
 from sgms_mhe.diagnosis.rivals import Rejected, Selection
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations

@@ -1,7 +1,5 @@
 """Causes that a record does not tell apart: combinations of their sizes that it knows, by the joint information."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Coordinates that a learned residual may depend on, and cubic B-splines over them that end in zero."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple

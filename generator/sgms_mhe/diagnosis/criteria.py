@@ -1,7 +1,5 @@
 """Criteria of a search for causes: gains that count, and candidates ranked by their gains."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence

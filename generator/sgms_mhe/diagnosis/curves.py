@@ -5,8 +5,6 @@ each of them. It is looked for when the search has ended, and only where the res
 then has to gain beside none of the known curves what they could not together.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Content of diagnosis.json."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 

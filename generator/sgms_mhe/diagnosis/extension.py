@@ -1,7 +1,5 @@
 """The extended machine: a few lines of TOML over the machine that was diagnosed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -114,13 +112,7 @@ def _estimable(machine: Machine, changes: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def extension_toml(
-    machine: Machine,
-    extended: Machine,
-    changes: Mapping[str, Any],
-    folder: Path,
-    said: Sequence[str],
-    *,
-    alone: bool,
+    machine: Machine, extended: Machine, changes: Mapping[str, Any], folder: Path, said: Sequence[str], *, alone: bool
 ) -> str:
     """Return the file of an extended machine.
 
@@ -137,11 +129,7 @@ def extension_toml(
     head += [line for sentence in said for line in wrap_comment(sentence)]
     if alone or not machine.source.is_file():
         return "\n".join([*head, *toml_machine(extended.content)]) + "\n"
-    lines = [
-        *head,
-        *toml_extends(machine, folder),
-        *(toml_line(key, changes[key]) for key in ("name", "description")),
-    ]
+    lines = [*head, *toml_extends(machine, folder), *(toml_line(key, changes[key]) for key in ("name", "description"))]
     for key in ("plant", "friction"):
         if key in changes:
             lines += toml_table(f"[{key}]", changes[key])

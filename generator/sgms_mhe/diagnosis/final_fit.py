@@ -1,10 +1,8 @@
 """Final fit of a selection: at the full rate of the record, to the end; and the residuals of the whole record."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -32,12 +30,12 @@ class RecordResidual(RecordLoss):
     """Residual of a record that a fit may have seen parts of."""
 
     @classmethod
-    def of(cls, fit: Fit) -> RecordResidual:
+    def of(cls, fit: Fit) -> Self:
         """Return that of the record that was fitted."""
         return cls(residual=fit.residual, loss=fit.loss, rows=fit.rows)
 
     @classmethod
-    def along(cls, whole: Subject, fit: Fit, sampled: Array) -> RecordResidual:
+    def along(cls, whole: Subject, fit: Fit, sampled: Array) -> Self:
         """Return that of a whole record, parts of which were fitted; see `find_residual`."""
         residual, recording = find_residual(whole, fit, sampled), whole.recording
         rows = recording.sum_blocks(np.ones(len(residual)))

@@ -8,15 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.diagnosis.models import (
-    CompiledFit,
-    FitError,
-    LeastSquares,
-    ModelPoint,
-    Prior,
-    diverges,
-    make_model,
-)
+from sgms_mhe.diagnosis.models import CompiledFit, FitError, LeastSquares, ModelPoint, Prior, diverges, make_model
 from sgms_mhe.diagnosis.own_numbers import OwnNumbers
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup, bounds, smooth_law
 from sgms_mhe.machine import Machine

@@ -1,7 +1,5 @@
 """The search for effects that are sines: every period at once, by Fourier transforms over position or time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

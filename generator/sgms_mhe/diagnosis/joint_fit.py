@@ -1,7 +1,5 @@
 """Fit of a machine to several records: what belongs to the axis is common, what belongs to a record free in each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

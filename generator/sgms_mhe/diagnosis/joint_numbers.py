@@ -1,7 +1,5 @@
 """Numbers of an extended machine that several records determine together, and the diagnosis that states them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

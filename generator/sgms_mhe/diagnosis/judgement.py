@@ -1,7 +1,5 @@
 """Judgement of a final fit: causes that hold, and the verdict that they allow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -171,11 +169,7 @@ def _encoder_rms(final: FinalFit) -> float:
 
 
 def allowed_excess(
-    machine: Machine,
-    floor: float,
-    causes: Sequence[ParameterGroup] = (),
-    before: float = 0.0,
-    encoder: float = 0.0,
+    machine: Machine, floor: float, causes: Sequence[ParameterGroup] = (), before: float = 0.0, encoder: float = 0.0
 ) -> float:
     """RMS beyond noise [N] that a complete explanation may leave.
 

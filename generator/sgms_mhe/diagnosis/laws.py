@@ -1,12 +1,10 @@
 """Choice of the friction law: elements that go over smoothly or that switch, beside the causes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -105,7 +103,7 @@ class Laws:
         """RMS of a force that might yet be the difference of the laws [N]."""
         return 0.0 if self.alternative is None or self.decided else self.apart
 
-    def replace_chosen(self, subject: Subject) -> Laws:
+    def replace_chosen(self, subject: Subject) -> Self:
         """The same with another subject in the place of the chosen one."""
         return replace(self, alternative=subject) if self.taken else replace(self, own=subject)
 

@@ -1,7 +1,5 @@
 """A learned residual: its functions, their tables, and what they gain."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A residual learned beside the causes: the machine that has it, and what it gains on other records."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -61,9 +59,7 @@ def adopt_tables(found: Diagnosis, log: Log) -> Diagnosis:
     traces = found.traces
     force = learned.along(np.nan_to_num(traces.position_m), np.nan_to_num(traces.velocity_m_s), 1.0 / traces.rate)
     traces = replace(
-        traces,
-        extended_N=traces.extended_N + force,
-        held_out_fit_N=traces.held_out_fit_N + learned.unseen,
+        traces, extended_N=traces.extended_N + force, held_out_fit_N=traces.held_out_fit_N + learned.unseen
     )
     left = traces.friction_N - traces.held_out_fit_N
     on_seen, on_held_out = (

@@ -5,8 +5,6 @@ by the evidence of the record (`evidence_fit.py`). A force that wanders with tim
 nothing. What is gained is measured on long parts of the record, each predicted by a fit to the others.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -5,13 +5,11 @@ then stand for all rows: the orders are taken up one after the other, the one th
 that did not see them gain by it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -100,7 +98,7 @@ class _Beside:
     target: Array
 
     @classmethod
-    def of(cls, seen: Residual) -> _Beside:
+    def of(cls, seen: Residual) -> Self:
         """Return those of a residual and the nuisance beside it."""
         recording = seen.recording
         fold = recording.fold[recording.block[recording.used]]

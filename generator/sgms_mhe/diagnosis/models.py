@@ -292,10 +292,7 @@ def make_model(machine: Machine, effects: Sequence[CandidateEffect]) -> Compiled
         for free in force.parameters
     ]
     return replace(
-        compiled,
-        columns=(*compiled.columns, *delays, *beside),
-        delayed=bool(delays),
-        forces=tuple(forces.values()),
+        compiled, columns=(*compiled.columns, *delays, *beside), delayed=bool(delays), forces=tuple(forces.values())
     )
 
 

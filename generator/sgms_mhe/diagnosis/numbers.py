@@ -1,7 +1,5 @@
 """Numbers of a machine beside those of its file, and the machine extended by what was found."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -40,10 +38,7 @@ def base_parameters(final: FinalFit, fit: Fit, file: Machine) -> tuple[BaseParam
     deviations = standard_deviations(covariance(final.subject, fit, final.other), fit)
     return tuple(
         BaseParameter(
-            c.name if c.group.kind == "base" else f"{c.group.label}.{c.name}",
-            stated(c),
-            c.si(float(theta)),
-            std,
+            c.name if c.group.kind == "base" else f"{c.group.label}.{c.name}", stated(c), c.si(float(theta)), std
         )
         for c, theta, std in zip(fit.model.columns, fit.theta, deviations, strict=True)
         if c.group.kind == "base" or c.group.label in effects

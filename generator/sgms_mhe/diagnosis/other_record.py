@@ -1,7 +1,5 @@
 """Record of an axis: the origin of its position, and the causes of the first one as it judges them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -1,9 +1,8 @@
 """Numbers that each of several joined logs has of its own, beside those that they have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -74,7 +73,7 @@ class OwnNumbers:
     @classmethod
     def of(
         cls, recording: Recording, model: Sequence[JacobianColumn], jacobian: Array, residual: Array, seen: Mask
-    ) -> OwnNumbers | None:
+    ) -> Self | None:
         """Return those that leave least of a residual (m) [N] on the rows seen (m); None where there is one log.
 
         `jacobian` (m, n_p): of the model's friction. To first order about the mean of the logs.

@@ -4,8 +4,6 @@ A candidate effect that is a plain force of the signals and its own numbers leav
 stands beside a compiled model and needs no code of its own: one model serves all of them, however they are combined.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

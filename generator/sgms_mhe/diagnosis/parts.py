@@ -1,7 +1,5 @@
 """Parts of a diagnosis: causes, candidates and numbers as they are reported."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Trajectories that excite what a diagnosis needs to see, or that tell two causes apart."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

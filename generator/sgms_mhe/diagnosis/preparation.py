@@ -1,7 +1,5 @@
 """Logs along a machine, as a diagnosis needs them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Criteria that a search for causes compares a gain with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,8 +1,7 @@
 """A machine along another record, its own numbers fixed, and what belongs to the record free."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -33,7 +32,7 @@ class RecordFit:
     effects: tuple[CandidateEffect, ...]
 
     @classmethod
-    def of(cls, subject: Subject) -> RecordFit:
+    def of(cls, subject: Subject) -> Self:
         """The machine of a subject, beside it the effects that belong to a record and that it has not."""
         own = {effect.name for effect in subject.machine.effects}
         names = [name for name in EFFECT_NAMES if is_of_record(name, subject.recording) and name not in own]
@@ -74,7 +73,7 @@ class RecordFit:
             if free
         }
 
-    def align(self) -> RecordFit:
+    def align(self) -> Self:
         """The same with its record in line with the model, and the noise that its fit leaves."""
         fit = self.fit(self.theta, self.free())
         noise = noise_floor(self.subject.recording, fit.residual)

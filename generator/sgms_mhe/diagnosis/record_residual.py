@@ -1,7 +1,5 @@
 """Residual and noise floor of a machine along a log, as a diagnosis states them of a machine as it is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, replace
 

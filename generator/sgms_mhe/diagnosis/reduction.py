@@ -1,7 +1,5 @@
 """Backwards: effects, entries of their lists and numbers that a selection can do without."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Result of a diagnosis: everything that diagnosis.json and a report need."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace

@@ -1,7 +1,5 @@
 """Every other candidate in each cause's place: what fits as well on this record, and what fits better."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass

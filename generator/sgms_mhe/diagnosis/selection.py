@@ -1,7 +1,5 @@
 """Forward selection over refits, backward reduction, rivals: from a machine along a record to its causes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Maps of a residual over position, velocity, acceleration, time, distance after reversals, frequency."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Final

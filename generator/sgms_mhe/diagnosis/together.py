@@ -1,7 +1,5 @@
 """`diagnose`: a log, or several of one axis, along a machine."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

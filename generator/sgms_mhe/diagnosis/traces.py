@@ -1,7 +1,5 @@
 """Decimated signals of a diagnosed record."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from sgms_mhe.support.arrays import Array, Index, Mask

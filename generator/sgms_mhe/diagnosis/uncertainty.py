@@ -5,8 +5,6 @@ out again, a resonance of nearly all of the mass above the frequency from which 
 then leaves less on any record, also on one that it was not fitted to: a cause explains a force, not noise.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """From logs and a machine to a verdict."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,13 +9,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.configuration import drop_disturbance
-from sgms_mhe.diagnosis.alignment import (
-    compile_half_steps,
-    find_chain_error,
-    in_step,
-    offset_notes,
-    sampling_offset,
-)
+from sgms_mhe.diagnosis.alignment import compile_half_steps, find_chain_error, in_step, offset_notes, sampling_offset
 from sgms_mhe.diagnosis.beginning import (
     ROUGH,
     RecordStart,

@@ -1,7 +1,5 @@
 """Candidates that were not named, and the reasons."""
 
-from __future__ import annotations
-
 from sgms_mhe.diagnosis.fits import report_values
 from sgms_mhe.diagnosis.parts import Alternative
 from sgms_mhe.diagnosis.rivals import Selection

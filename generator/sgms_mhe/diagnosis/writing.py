@@ -1,7 +1,5 @@
 """Files of a diagnosis: diagnosis.json and the extended machine."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

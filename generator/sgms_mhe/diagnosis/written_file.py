@@ -1,11 +1,9 @@
 """Errors of machine files along the records of a diagnosis, run as `predict` runs them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -39,7 +37,7 @@ class WrittenError:
     unit: str
 
     @classmethod
-    def measure(cls, machine: Machine, written: Machine | None, log: Log) -> WrittenError:
+    def measure(cls, machine: Machine, written: Machine | None, log: Log) -> Self:
         """Run the machine and the one that is written along a log (None: none is)."""
         before, force = _run(machine, log)
         after = before if written is None else _run(written, log)[0]

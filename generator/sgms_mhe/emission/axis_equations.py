@@ -1,7 +1,5 @@
 """Equations of motion of an axis in the languages of other simulators, printed from its symbolic model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

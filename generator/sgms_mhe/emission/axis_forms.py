@@ -1,7 +1,5 @@
 """An axis written for other simulators: its numbers with units, and what each form can hold of it."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """A package's C from other languages and tools: templates by file, variables of an axis, FMUs."""
 
-from __future__ import annotations
-
 import io
 import platform
 import sys

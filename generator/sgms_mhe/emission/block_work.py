@@ -1,7 +1,5 @@
 """Worst-case operations of the blocks of a group: over a step of the series, and ahead of the signal chain."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

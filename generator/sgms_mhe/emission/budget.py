@@ -1,7 +1,5 @@
 """Largest work of the calls, and the budget of a tick: a machine whose longest takes more is refused."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Expressions to C: single-assignment constants with names a reader can follow, as bodies of functions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar

@@ -1,7 +1,5 @@
 """Time of a model that is periodic in it: kept within one period, it has its digits however long an axis runs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from fractions import Fraction

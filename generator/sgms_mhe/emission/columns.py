@@ -3,8 +3,6 @@
 A template cannot know how long a line gets: names of machines and parameters stand in it. What fits stays as it is.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import Final, NamedTuple

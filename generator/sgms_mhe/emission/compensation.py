@@ -1,7 +1,5 @@
 """Compensation as templates see it: times, limits, and the constants of the propagation ahead."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Context of the templates: one typed object per subject, from a machine, its model and the structure analysis."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Dependence of states on each other and on parameters over an interval, as the sweep over intervals uses it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

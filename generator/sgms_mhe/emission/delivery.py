@@ -1,7 +1,5 @@
 """Files of a package beside its C, and its folder: a page, build files, a list, digests, the licence."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

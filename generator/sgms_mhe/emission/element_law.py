@@ -1,7 +1,5 @@
 """Constants of templates: the S-GMS law in logistic functions, the displacement flow, numbers of substeps."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

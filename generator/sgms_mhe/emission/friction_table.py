@@ -1,7 +1,5 @@
 """Friction over speed with few points, as drives and spreadsheets take it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Final
 

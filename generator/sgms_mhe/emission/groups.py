@@ -1,7 +1,5 @@
 """Groups of blocks as templates see them: functions, step counts, and which way of integration each takes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 For processors on which numbers of 64 bits lie at multiples of eight bytes, as they do on Arm, RISC-V and x86-64.
 """
 
-from __future__ import annotations
-
 import ast
 import operator
 import re

@@ -4,8 +4,6 @@ An operation is one addition, subtraction, multiplication, division, comparison 
 library are counted by what they consist of, in double precision, whose polynomials are the longer ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

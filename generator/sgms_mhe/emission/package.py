@@ -1,7 +1,5 @@
 """A machine's package: the emitted C, its runtime headers, reports and build files, as text by file name."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -15,8 +15,6 @@ package's precision. Numbers that Python computed are printed by a filter:
     product the same as Simscape writes it: N*m*s/rad
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import textwrap

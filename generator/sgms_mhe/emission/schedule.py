@@ -1,7 +1,5 @@
 """The work of an update as a list of units with costs, shared out over the samples of an interval."""
 
-from __future__ import annotations
-
 import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Self-test vectors of a package: a short motion and what the reference solver estimates from it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import accumulate

@@ -1,7 +1,5 @@
 """Motion of the self-test in whole numbers, which every processor adds up alike, and the log that it makes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

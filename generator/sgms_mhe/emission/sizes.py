@@ -1,7 +1,5 @@
 """Sizes of a package: what there is to count, and how the arrays of an axis's memory are laid out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Kind of package of a machine: pieces of code that come or stay away, and the statuses that it states."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal

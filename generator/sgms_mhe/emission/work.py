@@ -4,8 +4,6 @@ Counted as a processor without vector registers does them. With vectors several 
 one needs; docs/emission.md tells what an operation is.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from itertools import accumulate
 from typing import NamedTuple

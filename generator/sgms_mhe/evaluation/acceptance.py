@@ -4,8 +4,6 @@ For whoever keeps machine files and packages in a repository of their own: a cha
 version of the generator, a compiler that breaks the arithmetic are found before they reach an axis.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

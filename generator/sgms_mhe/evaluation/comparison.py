@@ -9,8 +9,6 @@ The status must be the same, but for a flag that compares a number with a limit 
 where that number lies on the limit within the tolerance `status`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -105,11 +103,7 @@ class Comparison:
 
 
 def compare_estimates(
-    machine: Machine,
-    generated: Estimates,
-    reference: Estimates,
-    prior_std: Array,
-    undecided: Index | None = None,
+    machine: Machine, generated: Estimates, reference: Estimates, prior_std: Array, undecided: Index | None = None
 ) -> Comparison:
     """Compare two sets of estimates of the same signals.
 

@@ -1,7 +1,5 @@
 """The model alone along a measured motion: friction that it says against friction that was measured."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

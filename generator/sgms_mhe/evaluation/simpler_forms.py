@@ -1,7 +1,5 @@
 """Forces that a simpler form of an axis loses along a measured motion."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any, Final

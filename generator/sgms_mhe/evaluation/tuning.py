@@ -13,12 +13,10 @@ next one best then believes too much. How many measurements an update may take i
 likelihood.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -80,7 +78,7 @@ class Trial:
         """L."""
         return float(self.loss.mean())
 
-    def better_by(self, other: Trial) -> float:
+    def better_by(self, other: Self) -> float:
         """How much more likely than another, in standard errors of the difference over stretches of the log."""
         gain = np.array([part.mean() for part in np.array_split(other.loss - self.loss, 20)])
         error = float(gain.std(ddof=1)) / math.sqrt(len(gain))

@@ -1,7 +1,5 @@
 """Running summary of an estimator's updates, in memory that does not grow with them."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

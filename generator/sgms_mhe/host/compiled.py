@@ -181,11 +181,7 @@ class CompiledEstimator:
         return RunningEstimator(self)
 
     def _run(
-        self,
-        memory: ctypes.Array[ctypes.c_char],
-        piece: Log | Signals,
-        mode: str,
-        progress: Progress | None = None,
+        self, memory: ctypes.Array[ctypes.c_char], piece: Log | Signals, mode: str, progress: Progress | None = None
     ) -> Replay:
         samples, delay = len(piece), 0.0 if isinstance(piece, Log) else piece.delay
         total = max(0, (samples - 1) // self._samples)

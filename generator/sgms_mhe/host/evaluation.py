@@ -1,7 +1,5 @@
 """Expressions evaluated by numpy at many samples at once: what is too little work to be compiled for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 

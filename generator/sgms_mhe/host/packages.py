@@ -1,7 +1,5 @@
 """Emitted packages for this host, each derived and printed once."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import threading

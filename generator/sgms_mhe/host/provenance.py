@@ -3,8 +3,6 @@
 There is no list that could be forgotten: the import statements tell which files count, beginning at the emission.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import sys

@@ -1,7 +1,5 @@
 """Emulated microcontrollers: programs cross-compiled and linked for one, and run by QEMU."""
 
-from __future__ import annotations
-
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence

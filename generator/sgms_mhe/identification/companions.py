@@ -1,7 +1,5 @@
 """Choice of the effects that stand beside the elements, by the gain on held-out samples."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 

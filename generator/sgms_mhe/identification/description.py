@@ -1,7 +1,5 @@
 """The numbers of a final fit as those of a machine file, and sentences on what the records leave open."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -11,14 +9,7 @@ import numpy as np
 
 from sgms_mhe.identification.elements import NO_RISE
 from sgms_mhe.identification.final_fit import FinalIdentification, is_apart, late_force
-from sgms_mhe.identification.fits import (
-    AxisFit,
-    NumberEstimate,
-    RecordView,
-    Shape,
-    fit_axis,
-    hold_shape,
-)
+from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView, Shape, fit_axis, hold_shape
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import ChosenModel, is_better
 from sgms_mhe.identification.spectrum import LARGEST

@@ -8,8 +8,6 @@ so that one compiled element of level 1 serves any number of them, and levels ar
 not to the stiffness: the element breaks away later, and of its force the share of the level without the load counts.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Noise of an estimator by what its model leaves of the logs: how large that is, and how far it goes on alike."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

@@ -1,7 +1,5 @@
 """From the elements that were chosen to the numbers that are reported: only what the records show stays in."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace

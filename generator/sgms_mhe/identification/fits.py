@@ -11,8 +11,6 @@ Gauss-Newton with damping in log D_k, beta and log v_s, on what the linear colum
 projection). Derivatives are those of the emitted C.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -337,8 +335,7 @@ def distance_limits(law: Law, rise: Stribeck | None, view: RecordView) -> tuple[
     """Return the smallest and largest break-away distance [m] that a fit follows."""
     low, high = view.limits
     low = max(
-        low / FINER,
-        *(least_distance(law, rise or NO_RISE, motion.rate / motion.steps) for motion in view.motions),
+        low / FINER, *(least_distance(law, rise or NO_RISE, motion.rate / motion.steps) for motion in view.motions)
     )
     return low, max(low, high * WIDER)
 

@@ -1,7 +1,5 @@
 """From logs, and a mass or none, to a machine file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,13 +23,7 @@ from sgms_mhe.identification.description import (
     unknown_mass,
 )
 from sgms_mhe.identification.estimator_noise import measure_colour, measure_noise
-from sgms_mhe.identification.final_fit import (
-    FinalIdentification,
-    Known,
-    is_apart,
-    make_final_fit,
-    state_numbers,
-)
+from sgms_mhe.identification.final_fit import FinalIdentification, Known, is_apart, make_final_fit, state_numbers
 from sgms_mhe.identification.fits import AxisFit, encoder_forces, fit_axis
 from sgms_mhe.identification.plain import fit_plain, measure_unseen
 from sgms_mhe.identification.record_numbers import list_record_numbers
@@ -41,13 +33,7 @@ from sgms_mhe.identification.sampling import common_rate, name_all, replace_filt
 from sgms_mhe.identification.search import LEAST_SHARE, MATERIAL, MOST_ELEMENTS, ChosenModel, Progress, Views, search
 from sgms_mhe.identification.spectrum import PER_DECADE
 from sgms_mhe.identification.start import Begun, begin, start_level_terms
-from sgms_mhe.identification.terms import (
-    OF_RECORD,
-    SAMPLING,
-    companion_names,
-    companion_terms,
-    curve_terms,
-)
+from sgms_mhe.identification.terms import OF_RECORD, SAMPLING, companion_names, companion_terms, curve_terms
 from sgms_mhe.identification.writing import check_toml, machine_content, machine_toml
 from sgms_mhe.logfiles.plausibility import check_has_force, check_plausible
 from sgms_mhe.machine import Kind, Machine

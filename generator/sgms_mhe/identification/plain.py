@@ -1,7 +1,5 @@
 """The floor of an identification: least squares of the same rows, with no shape to search for and nothing to choose."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import chain, combinations

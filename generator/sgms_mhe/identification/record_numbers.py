@@ -1,7 +1,5 @@
 """Offset, level, damping and moved mass of each of several records beside a fit that has their means."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,12 +1,10 @@
 """Logs prepared for identification: rows of the signal chain, and the motion that friction elements run along."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -78,7 +76,7 @@ class ElementMotion:
     scale: float = 1.0
     load: Array | None = None
 
-    def carry(self, load: Array) -> ElementMotion:
+    def carry(self, load: Array) -> Self:
         """Return the motion under a load that adds to the level: over the level without it, at each row (rows) [1]."""
         samples = (np.arange(1, len(self.velocity) + 1) / self.steps - 1.0) + 0.5 * (1 - self.factor)
         late = chain_delay(self.machine) * self.machine.sampling.rate if self.filtered else 0.0

@@ -1,7 +1,5 @@
 """Result of an identification: the machine, its numbers with intervals, and the open questions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The axis before anything is known of its friction: rates, filter and largest speed, as the records show them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Choices are made at the rate of the rows. What the longer steps change there is 
 friction up with the fine model at a fit: the residual is then the fine one's, but for the change away from that fit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -8,14 +8,12 @@ and nonnegative least squares of the measured friction on these columns and the 
 each. A rise towards low speed is a stop times exp(-(v / v_s)^2), v_s out of a short list.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,7 +156,7 @@ class _Sums:
     own: tuple[Array, ...]
 
     @classmethod
-    def of(cls, stop: Array, columns: Array, y: Array, fold: NDArray[np.int64]) -> _Sums:
+    def of(cls, stop: Array, columns: Array, y: Array, fold: NDArray[np.int64]) -> Self:
         """Return those of stops (m, g), other columns (m, c) and friction (m) [N]."""
         order = np.argsort(fold, kind="stable")
         edges = [0, *(np.flatnonzero(np.diff(fold[order])) + 1).tolist(), len(fold)]

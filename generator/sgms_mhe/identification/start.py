@@ -1,7 +1,5 @@
 """The convex start of an identification: records with their levels, and what stands beside the elements."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final

@@ -1,7 +1,5 @@
 """The first look at the logs of an axis: linear least squares of the convex start's elements, and no search."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final

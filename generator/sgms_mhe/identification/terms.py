@@ -1,7 +1,5 @@
 """Forces that are linear in a number, beside those of the elements: viscous, inertial, of effects, of the sampling."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -161,11 +159,7 @@ def companion_terms(rows: Recording) -> tuple[Term, ...]:
 
 
 def level_terms(
-    rows: Recording,
-    transmitted: Array,
-    sliding: Array,
-    rise: Stribeck | None,
-    known: KnownFriction | None = None,
+    rows: Recording, transmitted: Array, sliding: Array, rise: Stribeck | None, known: KnownFriction | None = None
 ) -> tuple[Term, ...]:
     """Effects that are looked for in the level of friction: what it grows with is known once load and mass are.
 

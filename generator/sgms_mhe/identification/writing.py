@@ -1,7 +1,5 @@
 """The machine file: every number with its interval beside it, and whatever stands at a default marked as such."""
 
-from __future__ import annotations
-
 import json
 import math
 import tomllib

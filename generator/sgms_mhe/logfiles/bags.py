@@ -1,7 +1,5 @@
 """Bags of ROS 1 and 2 and MCAP files, by rosbags: a column for each number in the messages of a topic."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import islice

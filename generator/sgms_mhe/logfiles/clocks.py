@@ -1,7 +1,5 @@
 """Clocks of a log: whole and parts of seconds in two columns; columns with times of their own, onto position's."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

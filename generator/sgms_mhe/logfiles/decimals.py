@@ -1,7 +1,5 @@
 """Numbers in a text: what is one, what its decimal mark is, and its value."""
 
-from __future__ import annotations
-
 import re
 from typing import Final, Literal
 

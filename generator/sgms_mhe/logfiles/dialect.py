@@ -1,7 +1,5 @@
 """How a text holds a table: separator, where the data begin and end, names, units, decimal mark."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence

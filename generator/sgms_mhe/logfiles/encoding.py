@@ -1,7 +1,5 @@
 """From bytes to text: UTF-8, UTF-16 with or without a mark, Latin-1."""
 
-from __future__ import annotations
-
 import codecs
 import re
 from pathlib import Path
@@ -35,10 +33,7 @@ def decode(path: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
     except UnicodeDecodeError as error:
         where = f"byte {error.start}"
         raise InputError(
-            path,
-            where,
-            None,
-            f'{chosen} text; another encoding? [log] (machine file, --log) has encoding = "..."',
+            path, where, None, f'{chosen} text; another encoding? [log] (machine file, --log) has encoding = "..."'
         ) from None
     check_text(path, text)
     return text, "utf-8" if chosen == "utf-8-sig" and not content.startswith(codecs.BOM_UTF8) else chosen

@@ -1,7 +1,5 @@
 """Columns of a pandas.DataFrame, of arrays by name, or of any table that gives names and values as a DataFrame does."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol

@@ -1,7 +1,5 @@
 """HDF5, by h5py."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Interpretation of a log, for people and for programs, and the reasons why commands would refuse it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final

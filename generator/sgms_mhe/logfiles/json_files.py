@@ -1,7 +1,5 @@
 """JSON: a line or an element for each sample, or an array for each signal; its samples as rows of a text."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping

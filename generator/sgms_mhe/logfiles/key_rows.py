@@ -14,8 +14,6 @@ or in every row the name of the column behind it, time is counted in the steps t
 In LabVIEW's measurement files (.lvm) X_Value is the key of the names, and the lowest of the rows.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Cells of a text that hold a list, as tables of messages have them: a column for each of its elements."""
 
-from __future__ import annotations
-
 import re
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Long format: a line holds the time, the name and the value of one variable, as loggers of events write it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ scipy.io.loadmat is not used: it looks a data-type code up without checking it (
 damaged file ends the process where a user needs a message. Numeric arrays and structs are all that a log holds.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

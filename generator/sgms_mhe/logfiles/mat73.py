@@ -3,8 +3,6 @@
 A struct is a group. The fields of a struct array are arrays of references, of one shape, to what its elements hold.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Measurement data of ASAM's format MDF 4 (and 3), by asammdf."""
 
-from __future__ import annotations
-
 import gc
 import logging
 import sys

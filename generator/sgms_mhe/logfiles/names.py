@@ -4,8 +4,6 @@ A name is a quantity where it is that quantity's word and words that say it was 
 nothing else: a set point, an error, a limit has a word more. Axes of one machine have a number more.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Final

@@ -13,8 +13,6 @@ Gravity, springs and contacts are forces of the place, of either sign. A drive t
 spring and a damper: F_v is free, so that it tells no sign. z_i are elements of dry friction, springs that slip.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """NumPy's files: archives (.npz), and single arrays (.npy), structured or a matrix of one row or column a signal."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any

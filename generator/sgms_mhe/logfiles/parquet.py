@@ -1,7 +1,5 @@
 """Columns of Parquet and Feather files and of LeRobot data sets, by pyarrow."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """From the values of a file to SI units."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path

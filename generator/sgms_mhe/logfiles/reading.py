@@ -1,7 +1,5 @@
 """A file read: each step's result, and the log that comes of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

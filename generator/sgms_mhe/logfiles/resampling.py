@@ -1,7 +1,5 @@
 """Uneven time onto a uniform grid, and what that costs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 A name alone is never enough: `position` without a unit is refused with the line that would say it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Time stamps in a text: ISO 8601 with and without a zone, dates day or month first, times of day, durations."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Interface of every reader of a file: named columns, read when they are asked for, and where their rows stand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field

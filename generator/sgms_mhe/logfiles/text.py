@@ -1,7 +1,5 @@
 """Delimited text: a table from any dialect, the numbers of the wanted columns by numpy wherever they are plain."""
 
-from __future__ import annotations
-
 import gzip
 import zlib
 from collections.abc import Mapping, Sequence

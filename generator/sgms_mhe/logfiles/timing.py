@@ -1,7 +1,5 @@
 """The clock of a log: its rate, its jitter, and whether the same step stands between all samples."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables [plant] and [friction]: what moves, and the law and parameters of its friction."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final, Literal, Self
 

@@ -1,7 +1,5 @@
 """Tables [compensation] and [code]: what the emitted C feeds forward, and the numbers that it computes with."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from sgms_mhe.machine.fields import MachineTable, quantity, text

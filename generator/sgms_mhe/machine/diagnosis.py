@@ -5,8 +5,6 @@ All other thresholds are constants beside the code that uses them. Defaults and 
 against a wrong one they lean towards none.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from sgms_mhe.machine.fields import MachineTable, quantity

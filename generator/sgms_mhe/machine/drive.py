@@ -1,7 +1,5 @@
 """Table [drive]: what a commanded axis makes of its command, where no force was recorded."""
 
-from __future__ import annotations
-
 from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator

@@ -1,7 +1,5 @@
 """Table [estimator]: kind, horizon, parameters and their bounds, and the weights."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping

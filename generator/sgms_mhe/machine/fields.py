@@ -1,7 +1,5 @@
 """Fields of the machine file: every key states its meaning, unit, range and default; unknown keys are errors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar
 

@@ -4,8 +4,6 @@ What needs more than the file to be checked or filled in (the effects' parameter
 the integrator that the friction law asks for) is taken as it is written; `sgms_mhe.configuration` resolves it.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Annotated, Any, Final, Self
 

@@ -1,7 +1,5 @@
 """Table [log]: from the variables of a measured file to the columns of a log."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 

@@ -3,8 +3,6 @@
 Where the two kinds of axis differ for a reader of logs: which column a quantity has, and in what SI unit.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Machine files: find, merge `extends`, check each table, and say what is wrong in the user's own terms."""
 
-from __future__ import annotations
-
 import difflib
 import hashlib
 import json

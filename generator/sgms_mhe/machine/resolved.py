@@ -1,7 +1,5 @@
 """The machine that a file describes, with nothing left open: what every later stage works on."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Table [sampling]: rates, the velocity filter, the maximum speed, and the integrator."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any, Final, Literal, Self

@@ -5,8 +5,6 @@ model, the estimator and the diagnosis know generalised coordinates alone, under
 writes or reads has the names of his axis. This is the one place where the two meet.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Machine files written: values as TOML, and how a file names the one that it extends."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

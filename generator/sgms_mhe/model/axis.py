@@ -1,7 +1,5 @@
 """The symbolic axis under construction: what the S-GMS law and the effects contribute to."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final

@@ -1,7 +1,5 @@
 """Machine file to symbolic model: the three functions of docs/model.md and what the estimator assumes of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

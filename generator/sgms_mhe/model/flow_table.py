@@ -5,8 +5,6 @@ monotone through r*, so one piecewise polynomial serves loading and relaxation. 
 digits than a double holds, so that every machine emits the same bytes.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The S-GMS law, equations (1) to (3), and its limit that switches, in chi_i = z_i kappa_i / (nu_i f_C)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A force that belongs to the place, which the estimator follows: what no effect of the machine file accounts for."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Scales of a machine, in which effects are sized."""
 
-from __future__ import annotations
-
 import math
 
 from sgms_mhe.machine import Machine

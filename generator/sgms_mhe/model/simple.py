@@ -1,7 +1,5 @@
 """Friction of an axis as simulators of rigid bodies compute it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

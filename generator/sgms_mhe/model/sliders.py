@@ -1,7 +1,5 @@
 """Maxwell-slip elements as springs to sliders with LuGre friction, which a simulator of rigid bodies holds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

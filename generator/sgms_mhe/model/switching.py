@@ -1,7 +1,5 @@
 """Conditions on an axis whose elements switch: each element takes a step in closed form."""
 
-from __future__ import annotations
-
 from typing import NoReturn
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """How a simulated axis is driven, measured and integrated."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final, Literal, Self

@@ -1,7 +1,5 @@
 """The plant's C side: `runtime_c/axis.c`, `axis_effects.c` compiled; one axis, its true parameters by name."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections import Counter

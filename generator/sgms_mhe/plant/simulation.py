@@ -7,8 +7,6 @@ friction does:
     mass * acceleration = drive force - friction - sum of the effects' forces
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,13 +18,7 @@ import numpy as np
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Value
 from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.native import (
-    LOG_COLUMNS,
-    TRUTH_COLUMNS,
-    Compensation,
-    NativeAxis,
-    loaded_library,
-)
+from sgms_mhe.plant.native import LOG_COLUMNS, TRUTH_COLUMNS, Compensation, NativeAxis, loaded_library
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array

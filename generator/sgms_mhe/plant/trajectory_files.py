@@ -1,7 +1,5 @@
 """Reference trajectories out of files: what `plan` writes, and what a motion controller exports."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

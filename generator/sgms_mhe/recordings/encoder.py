@@ -1,7 +1,5 @@
 """Noise that an encoder, and readings off their stamps, leave in a motion behind the signal chain."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

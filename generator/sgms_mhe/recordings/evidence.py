@@ -1,12 +1,10 @@
 """Evidence that holds under coloured residuals: blocks of the record are the independent units."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from scipy import stats
@@ -250,7 +248,7 @@ class FitLoss(RecordLoss):
         """RMS by cross-validation [N]."""
         return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
 
-    def gain_over(self, other: FitLoss) -> float:
+    def gain_over(self, other: Self) -> float:
         """RMS of the force that this fit explains beyond another on unseen blocks [N]; negative for less."""
         return gain_force(other.cross, self.cross, self.rows)
 

@@ -1,7 +1,5 @@
 """The part of a long record that models are fitted to: pieces from all over it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

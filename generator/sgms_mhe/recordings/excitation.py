@@ -1,7 +1,5 @@
 """Excitation of a record: measures of its motion, and whether time and the motion are one clock."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Final
 

@@ -4,8 +4,6 @@ The simulated axis (`plant/`) runs from the first samples of every stretch witho
 the measured motion, so that elements, lags and clocks are those of the record.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

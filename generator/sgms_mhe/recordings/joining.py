@@ -1,7 +1,5 @@
 """Several recordings as one: rows one log behind the other, blocks numbered through."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Least squares of fits: an exact step over a box, and the damped Gauss-Newton (Levenberg-Marquardt) that takes it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeVar

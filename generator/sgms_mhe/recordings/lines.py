@@ -1,7 +1,5 @@
 """Lines of a spectrum: a force that comes again in time, or in place, is no noise."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Noise of a residual that holds more than noise, and its colour behind the signal chain."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -4,8 +4,6 @@ Output error, beside the equation error of all other fits: both are norms of one
 short shots (multiple shooting, from which every run comes back) to free runs of whole stretches.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass

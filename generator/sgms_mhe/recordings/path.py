@@ -1,7 +1,5 @@
 """The way of an axis, from readings of its encoder: what elements ran along, between the samples too."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A log prepared for diagnosis: aligned signals, their reduction to the rate of the fit, usable samples, blocks."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import OrderedDict

@@ -1,7 +1,5 @@
 """Series of samples: means and sums over them, and what they are a while later or earlier."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Self

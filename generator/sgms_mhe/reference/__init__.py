@@ -1,7 +1,5 @@
 """Reference solvers: what the generated C is judged by, written from docs/ and not from the C."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from sgms_mhe.machine import Machine

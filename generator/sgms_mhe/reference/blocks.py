@@ -1,7 +1,5 @@
 """Blocks of states that can be integrated apart from each other, and which of them take steps in closed form."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The loops of the integrator in C: `intervals.c` compiled with CasADi's functions."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """Joint extended Kalman filter over (x, theta), in covariance form (docs/estimation.md)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sgms_mhe.reference.least_squares import solve_bounded

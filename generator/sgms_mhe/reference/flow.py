@@ -10,10 +10,9 @@ log|d| + L(d) = log|d0| + L(d0) - k xi, found by a safeguarded Newton iteration 
 accuracy of d however close the state is to r*.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -91,7 +90,7 @@ class Flow:
     above: NDArray[np.float64]
 
     @classmethod
-    def of(cls, smoothing: Smoothing) -> Flow:
+    def of(cls, smoothing: Smoothing) -> Self:
         """Tabulate L for one smoothing."""
         lambda_, zeta = smoothing.lambda_, smoothing.zeta
         r_star = float(brentq(lambda r: r * float(window(r, smoothing)) - 1.0, 0.0, 2.0 + 20.0 / lambda_, xtol=1e-15))

@@ -5,8 +5,6 @@ substeps, samples and the node maps gives x1 = f(x, theta), A = df/dx and B = df
 run in compiled C around CasADi's generated functions, or in Python where there is no compiler; both read the same plan.
 """
 
-from __future__ import annotations
-
 from sgms_mhe.model import Model
 from sgms_mhe.reference.blocks import Blocks, IntegratedBlock
 from sgms_mhe.reference.compiled_loops import CompiledLoops

@@ -1,7 +1,5 @@
 """Factors on stated variances for errors of the model that stay, from innovations and estimates (docs/faults.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Dense linear least squares with bounds on some unknowns, proven optimal by its KKT conditions."""
 
-from __future__ import annotations
-
 import numpy as np
 import osqp
 from scipy.linalg import solve_triangular

@@ -1,7 +1,5 @@
 """Steps of a record, and how many substeps each block takes in them: set by the signals alone."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

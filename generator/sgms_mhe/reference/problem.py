@@ -1,10 +1,9 @@
 """Common parts of all reference estimators: the numbers of docs/estimation.md, the record at its nodes, results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import Self
 
 import numpy as np
 
@@ -83,7 +82,7 @@ class Weights:
     lasting_block: int = BLOCK
 
     @classmethod
-    def of(cls, model: Model) -> Weights:
+    def of(cls, model: Model) -> Self:
         """Read them from a model and its machine."""
         machine, noise = model.machine, model.machine.estimator.noise
         friction = machine.friction

@@ -1,7 +1,5 @@
 """The loops of the integrator in Python, many times slower: where there is no compiler, and to check the compiled."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple

@@ -1,9 +1,7 @@
 """Measurements one after the other: innovation, test ratio, and the noise that each is taken with (docs/weights.md)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -42,7 +40,7 @@ class MeasurementResult(NamedTuple):
     scale: float
 
     @classmethod
-    def none(cls) -> MeasurementResult:
+    def none(cls) -> Self:
         """Before the first one."""
         return cls(0.0, 0.0, 1.0)
 

@@ -4,8 +4,6 @@ The bound no causal estimator beats: the same cost as the moving horizon's, with
 and the whole record in the window.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """CasADi's functions of one substep of every block, of the node maps and of the output, with their Jacobians."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from sgms_mhe.reference.blocks import Blocks, IntegratedBlock

@@ -1,7 +1,5 @@
 """Text of a report: a diagnosis in an engineer's words and units."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -57,11 +55,7 @@ _SAYS: Final = {
 
 
 def page(
-    diagnosis: Diagnosis,
-    folder: Path,
-    views: Sequence[View],
-    in_place: Sequence[InPlace],
-    gain: EstimatorGain | None,
+    diagnosis: Diagnosis, folder: Path, views: Sequence[View], in_place: Sequence[InPlace], gain: EstimatorGain | None
 ) -> dict[str, Any]:
     """Everything that the template asks for, but for data, style and script."""
     d, t = diagnosis, diagnosis.traces
@@ -93,12 +87,7 @@ def page(
         "learned": [sentence(s.sentence) for s in d.statements if s.kind == "learned"],
         "learned_plots": () if d.learned is None else learned_titles(d.learned),
         "views": [
-            {
-                "key": f"view_{v.key}",
-                "title": _SAYS[v.key],
-                "says": _says(v.key, d),
-                "empty": len(v.centres) == 0,
-            }
+            {"key": f"view_{v.key}", "title": _SAYS[v.key], "says": _says(v.key, d), "empty": len(v.centres) == 0}
             for v in views
         ],
         "candidates_ranked": score_rows(ranked_scores(d.scores), as_good),

@@ -1,7 +1,5 @@
 """Small drawings of a number over logs or axes: dots with intervals, bands behind them. SVG, coloured by the page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The loop closed: what the extended model gains the estimator that is generated from it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

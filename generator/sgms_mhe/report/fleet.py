@@ -1,7 +1,5 @@
 """The page over a fleet: what failed, which axis left its band, every number of every axis over its logs."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A learned residual on a report's page: a sentence, and its curves."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final
 

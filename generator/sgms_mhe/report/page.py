@@ -1,7 +1,5 @@
 """The pages: of a diagnosis, a first look, a fleet, a run that is watched; each works without a network."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -148,10 +146,7 @@ def _write_page(path: Path, template: str, page: dict[str, Any], drawn: dict[str
     # Within a script element only "</" could end it.
     data = json.dumps({"plots": drawn}, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     text = environment.get_template(template).render(
-        page,
-        css=_safe("report.css") + (_safe(style) if style else ""),
-        script=_safe("report.js"),
-        data=Markup(data),
+        page, css=_safe("report.css") + (_safe(style) if style else ""), script=_safe("report.js"), data=Markup(data)
     )
     write_text(path, text)
     return path

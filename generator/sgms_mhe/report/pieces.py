@@ -1,7 +1,5 @@
 """Pieces that several pages show, as their templates take them: tiles, and tables with a bar in each row."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """Data of the page's plots. Series have roles; the page's style sheet gives each role a colour."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal

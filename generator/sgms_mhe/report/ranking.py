@@ -1,7 +1,5 @@
 """Candidates in the order of what they explain, round by round."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Open questions of a record, and the fit of each rival in its cause's place."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Series of a report's plots: residuals over every coordinate, their spectrum, arrays small enough for a page."""
 
-from __future__ import annotations
-
 import base64
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The page of a first look at an axis: a decision without reading, or the reason why there is none."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final

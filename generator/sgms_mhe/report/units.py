@@ -1,7 +1,5 @@
 """Numbers as an engineer writes them: a unit, a prefix that suits the size, digits as the uncertainty allows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The page over a run of an estimator along a log, while it goes on and after it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Final

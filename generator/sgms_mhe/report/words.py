@@ -1,7 +1,5 @@
 """A report's words: what a cause is called, sizes and changes, lists and sentences."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final

@@ -4,12 +4,10 @@ Every signal leaves the chain with the delay of the acceleration, two low-passes
 force - mass * acceleration carries no transient that is not friction.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.signal import lfilter
@@ -68,7 +66,7 @@ class Signals:
         """1 / noise where friction is valid, 0 elsewhere (n)."""
         return self.valid / (np.ones(len(self)) if self.noise is None else self.noise)
 
-    def part(self, which: slice | Index) -> Signals:
+    def part(self, which: slice | Index) -> Self:
         """Some of the samples, with the delay of all of them."""
         parts: dict[str, Any] = {name: a[which] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
         return replace(self, **parts)

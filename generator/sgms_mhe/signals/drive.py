@@ -1,7 +1,5 @@
 """Commands of a log, as a machine's drive takes them, and the force that it makes of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimates: what an observer, of whatever kind, says at every update; and their file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

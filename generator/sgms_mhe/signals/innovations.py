@@ -1,7 +1,5 @@
 """Innovations of an estimator as a judge of its weights: their likelihood, and the noise that they support."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final

@@ -1,12 +1,10 @@
 """Measured logs: arrays in SI units, and back into files. `sgms_mhe.logfiles` reads them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -102,7 +100,7 @@ class Log(Shown):
         title = f"{self.source or 'log'}: {len(self)} samples at {self.rate:.6g} Hz"
         return title, ("column", "least", "largest", "missing"), rows
 
-    def part(self, start_s: float = 0.0, end_s: float = math.inf) -> Log:
+    def part(self, start_s: float = 0.0, end_s: float = math.inf) -> Self:
         """The rows from `start_s` to `end_s` [s since the first sample] as a log of its own.
 
         Raises:

@@ -1,7 +1,5 @@
 """Noise of a measured signal, told from the signal itself."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

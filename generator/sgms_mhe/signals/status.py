@@ -1,7 +1,5 @@
 """The status of an update: its flags and their names, as the emitted C has them (docs/estimation.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

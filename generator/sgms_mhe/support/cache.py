@@ -6,8 +6,6 @@ again. Files appear whole: processes may look for one and keep the same one at t
 than `MOST` of them: those that were not asked for longest go first.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import stat
@@ -15,7 +13,7 @@ import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 from platformdirs import user_cache_path
 
@@ -95,7 +93,7 @@ class _Folder:
     def __init__(self) -> None:
         self.path = cache_dir()
 
-    def __enter__(self) -> _Folder:
+    def __enter__(self) -> Self:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.path.mkdir(mode=0o700, exist_ok=True)

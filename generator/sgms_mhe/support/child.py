@@ -4,8 +4,6 @@ It takes pickled calls from a pipe and answers each. It ends when the pipe does,
 is gone, whatever it works on.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import sys

@@ -4,8 +4,6 @@ Every rule that decides something logs which rule, on what, with its numbers, un
 DEBUG. So a library user follows them with `logging`, and `--trace` writes the same records to files.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Errors a user can act on."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -80,7 +78,7 @@ class InputError(Exception):
         source, where, value, allowed = self._arguments
         return type(self)(source, where, value, f"{allowed} (note: {'; '.join(sentences)})")
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str | Path, str, object, str]]:
+    def __reduce__(self) -> tuple[type[Self], tuple[str | Path, str, object, str]]:
         return type(self), self._arguments
 
 

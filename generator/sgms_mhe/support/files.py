@@ -1,7 +1,5 @@
 """Output files that are either whole or absent."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

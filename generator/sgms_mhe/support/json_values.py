@@ -1,7 +1,5 @@
 """Numbers in JSON, which has no NaN and no infinity."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from numbers import Integral, Real

@@ -4,8 +4,6 @@ A result is a few files in a folder of the task's key. It appears whole or not a
 hangs on, so what is found under it need not be computed again.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence

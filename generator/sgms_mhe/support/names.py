@@ -1,7 +1,5 @@
 """Names: those that were meant where an unknown one was written, and that of a distribution."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint

@@ -1,7 +1,5 @@
 """Results at a prompt and in a notebook: a sentence, a table, axes to draw on, arrays that nobody changes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape

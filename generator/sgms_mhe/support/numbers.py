@@ -1,7 +1,5 @@
 """Numbers with intervals, as every table, page, comment and message writes them."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

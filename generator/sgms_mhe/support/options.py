@@ -1,7 +1,5 @@
 """Mark of a function's parameters that the command line offers as options."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -4,8 +4,6 @@ Threads: the work is in compiled code, which runs without the interpreter's lock
 piece is done and nothing else.
 """
 
-from __future__ import annotations
-
 import contextvars
 import os
 import threading

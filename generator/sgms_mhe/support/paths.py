@@ -3,8 +3,6 @@
 In a checkout (editable install) they are folders of the repository; a wheel carries copies of them inside the package.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parents[1]

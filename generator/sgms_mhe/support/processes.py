@@ -6,8 +6,6 @@ loaded for one task is not shared with those beside it. A child works on many ta
 replaced before what stays loaded adds up.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import signal

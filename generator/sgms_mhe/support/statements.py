@@ -1,12 +1,10 @@
 """Judgements: each in one object with its numbers and the rule behind it; every output renders its sentence."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Self
 
 from sgms_mhe.support.numbers import SIGMAS, interval
 
@@ -177,7 +175,7 @@ class Statement:
     @classmethod
     def of_number(
         cls, rule: Rule, about: str, value: float, std: float, unit: str = "", **numbers: float | str
-    ) -> Statement:
+    ) -> Self:
         """Return the statement on a number with its standard deviation; NaN or 0: it has none."""
         reach = SIGMAS * std
         return cls(

@@ -1,7 +1,5 @@
 """Tables of results: the same numbers to read and to compute with."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

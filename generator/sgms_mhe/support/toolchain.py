@@ -1,7 +1,5 @@
 """C sources to a shared library that ctypes loads, compiled once and kept in the user's cache."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import importlib.util

@@ -13,8 +13,6 @@ and by steps of the mean, found by Student statistics of stretches against the r
 the limit by Bonferroni over all stretches. Of line and steps the one with the lesser information criterion counts.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime

@@ -1,7 +1,5 @@
 """A fleet from its table to its results: what is there already is taken, the rest is done, failures are listed."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

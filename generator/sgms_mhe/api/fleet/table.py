@@ -1,7 +1,5 @@
 """The table of a fleet: a CSV with a machine and a log in each row."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

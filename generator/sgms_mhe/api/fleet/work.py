@@ -1,7 +1,5 @@
 """One row of a fleet, in a process of its own: from machine and log to the files of its result."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -9,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from sgms_mhe.api.diagnosis import diagnose
 from sgms_mhe.api.estimation import estimate
@@ -65,7 +63,7 @@ class Result:
     notes: tuple[str, ...]
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Result:
+    def from_json(cls, content: Mapping[str, Any]) -> Self:
         """Out of a result's file."""
         numbers = tuple(
             FleetNumber(n["name"], n["value"], n["std"], math.nan if n["nominal"] is None else n["nominal"])

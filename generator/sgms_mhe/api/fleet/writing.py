@@ -1,7 +1,5 @@
 """Results of a fleet: a table, the same as JSON, and a page."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping

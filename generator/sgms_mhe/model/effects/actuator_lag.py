@@ -1,7 +1,5 @@
 """A drive whose force lags the logged one: the current loop, where the log has its command."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A Coulomb level that depends on the direction: preload, seals, a guide that tilts."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis

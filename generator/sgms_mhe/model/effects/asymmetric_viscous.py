@@ -1,7 +1,5 @@
 """Viscous friction that depends on the direction: a lubricant's supply, a worm or ball screw's flanks."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

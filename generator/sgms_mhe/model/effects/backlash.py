@@ -1,7 +1,5 @@
 """A gap between the mass and what rubs: a coupling, a carrier of the guide's cover."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca
@@ -75,14 +73,7 @@ DEFINITION = EffectDefinition(
     summary="gap between the mass and what rubs",
     parameters=(
         EffectParameter(
-            "gap_m",
-            0.0,
-            0.5,
-            "width of the gap",
-            lower=0.0,
-            unit="deflection",
-            proportional=False,
-            step=step_by_factor,
+            "gap_m", 0.0, 0.5, "width of the gap", lower=0.0, unit="deflection", proportional=False, step=step_by_factor
         ),
     ),
     contribute=_contribute,

@@ -1,7 +1,5 @@
 """Wrong numbers of the base model, described as effects are: a diagnosis treats both alike."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -170,8 +168,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = {
             over_speed=True,
             moves=("speeds", "again"),
             excitation=Excitation(
-                "constant speeds that differ by a factor of three",
-                (Need("speed_ratio", 2.0), Need("moving_s", 0.5)),
+                "constant speeds that differ by a factor of three", (Need("speed_ratio", 2.0), Need("moving_s", 0.5))
             ),
             confused_with={
                 "eddy_current_damping": "constant speeds up to twice the corner velocity: it falls off there",

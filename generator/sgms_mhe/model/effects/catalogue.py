@@ -5,8 +5,6 @@ an `EffectDefinition`. It is imported when it is first asked for, and checked as
 that is broken is an error where it is used and left out where all effects are.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Definition of a cause for a diagnosis: an effect or a wrong number."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal

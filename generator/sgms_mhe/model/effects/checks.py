@@ -1,7 +1,5 @@
 """Errors of a definition: the same for this package's effects, in tests, and for those of others, in use."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Container, Iterator, Mapping
@@ -150,9 +148,7 @@ def _largest_change(
     """Return the largest change by a contribution of default parameters, states at rest, at signals of size one."""
     states = ca.vertcat(*(state.chi for state in axis.states)) if axis.states else ca.SX(0, 1)
     changed = ca.Function(
-        "changed",
-        [axis.measured, ca.vertcat(*symbols.values()), states],
-        [ca.fabs(_quantities(axis) - before)],
+        "changed", [axis.measured, ca.vertcat(*symbols.values()), states], [ca.fabs(_quantities(axis) - before)]
     )
     random = np.random.default_rng(1)
     defaults, rest = list(nominal.values()), np.zeros(len(axis.states))

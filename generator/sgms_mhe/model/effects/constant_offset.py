@@ -1,7 +1,5 @@
 """A constant force: an amplifier's offset, a cable's pull, gravity on a tilted axis."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need

@@ -1,7 +1,5 @@
 """Definition of an effect: a property of an axis beyond the S-GMS friction law."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """A level of friction that settles at another value over time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Losses of a gear's mesh: less arrives than is driven in, whichever side drives."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

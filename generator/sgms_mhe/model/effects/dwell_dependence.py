@@ -1,7 +1,5 @@
 """Break-away that rises with the time at rest: the contact ages, motion renews it."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis

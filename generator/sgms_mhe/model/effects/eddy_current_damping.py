@@ -1,7 +1,5 @@
 """Eddy currents in a linear motor's track: damping that falls off beyond a corner velocity."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis

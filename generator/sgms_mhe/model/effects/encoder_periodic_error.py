@@ -1,7 +1,5 @@
 """An encoder whose measurement errs periodically in position: interpolation error, a scale's mounting."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

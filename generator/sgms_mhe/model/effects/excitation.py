@@ -1,7 +1,5 @@
 """Excitation that identifies an effect: a sentence, and numbers that a program can check."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal

@@ -1,7 +1,5 @@
 """A force constant that varies with position: magnet spacing, end effects of a linear motor."""
 
-from __future__ import annotations
-
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Values

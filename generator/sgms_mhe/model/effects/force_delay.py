@@ -4,8 +4,6 @@ Late by sampling order and filters of the measured current; early where the log 
 drive's own cycles bring to the motor later.
 """
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """A logged force that is not the force: a wrong motor constant or amplifier scale."""
 
-from __future__ import annotations
-
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need
 from sgms_mhe.model.effects.search import Columns, Values
@@ -28,10 +26,7 @@ DEFINITION = EffectDefinition(
     excludes=("mass_mismatch",),  # a record tells their quotient
     inertial=True,
     # logged = gain real: the column is the logged force, its size 1 - 1 / gain
-    search=Columns(
-        lambda m, _: m.force[:, None],
-        lambda _, size: {"gain": 1.0 / (1.0 - min(0.9, float(size[0])))},
-    ),
+    search=Columns(lambda m, _: m.force[:, None], lambda _, size: {"gain": 1.0 / (1.0 - min(0.9, float(size[0])))}),
     linear=True,
     stage="log",
 )

@@ -1,7 +1,5 @@
 """A force periodic in position: cogging of a linear motor, a ball screw's pitch."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler

@@ -5,8 +5,6 @@ direction, between rest and a speed at which it is none again. A constant is the
 so that no sum of the curve's numbers is one of theirs; and as it is none at rest, it does not jump where motion turns.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Final, TypeVar

@@ -1,7 +1,5 @@
 """A Coulomb level that changes over time: lubricant running in, warming up."""
 
-from __future__ import annotations
-
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, Excitation, Need
 from sgms_mhe.model.effects.drift import drift_factor, drift_limit, drift_parameters, drift_search
@@ -18,8 +16,7 @@ DEFINITION = EffectDefinition(
     parameters=drift_parameters("Coulomb level"),
     contribute=_contribute,
     excitation=Excitation(
-        "the same move again and again, over more than a time constant",
-        (Need("moving_s", 1.0), Need("reversals", 4.0)),
+        "the same move again and again, over more than a time constant", (Need("moving_s", 1.0), Need("reversals", 4.0))
     ),
     confused_with={
         "coulomb": "the same move at the beginning and at the end of the log",

@@ -1,7 +1,5 @@
 """Friction that follows a change of speed late: the lubricant film takes time to build up."""
 
-from __future__ import annotations
-
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, Excitation, Need
 from sgms_mhe.model.effects.lag import FILM_LAG, add_film

@@ -1,7 +1,5 @@
 """A hose or cable chain that creeps against itself: a soft hysteresis far wider than presliding (Dahl)."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 from scipy.linalg.blas import dtbsv
@@ -22,10 +20,7 @@ def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     state = add_effect_state(
         axis,
         EffectState(
-            "force",
-            rate_per_metre=abs(nominal["stiffness_N_m"]) / nominal["force_N"],
-            noise=1e-3,
-            initial_state=1.0,
+            "force", rate_per_metre=abs(nominal["stiffness_N_m"]) / nominal["force_N"], noise=1e-3, initial_state=1.0
         ),
     )
     v = axis.velocity

@@ -1,7 +1,5 @@
 """Lags of first order, and what force and position that are apart in time have in common."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 
@@ -74,8 +72,7 @@ def add_lag(axis: SymbolicAxis, name: str, signal: ca.SX, time_constant: ca.SX |
         return ca.log(1.0 + h / ca.SX(t)) / h
 
     state = add_effect_state(
-        axis,
-        EffectState(name, rate_per_second=_LAG_PER_SUBSTEP * float(ca.evalf(rate(nominal))), initial_state=1.0),
+        axis, EffectState(name, rate_per_second=_LAG_PER_SUBSTEP * float(ca.evalf(rate(nominal))), initial_state=1.0)
     )
     state.rate = rate(time_constant) * (signal / axis.coulomb - state.chi)
     return state.chi * axis.coulomb

@@ -3,8 +3,6 @@
 The speed may be one that follows late: friction that remembers a time and not a way.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

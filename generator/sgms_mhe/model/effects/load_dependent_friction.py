@@ -4,8 +4,6 @@ Behind the mesh are the load and the inertia of what it carries; before it the r
 A mesh in the middle of an axis carries the load, and shares of inertial torque and friction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

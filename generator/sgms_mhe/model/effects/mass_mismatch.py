@@ -1,7 +1,5 @@
 """A moved mass other than the machine file's: payload, motor inertia."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need

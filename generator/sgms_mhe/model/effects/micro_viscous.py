@@ -1,7 +1,5 @@
 """Damping of the presliding deflection: the sigma_i of equation (2), shared out by nu_i."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis

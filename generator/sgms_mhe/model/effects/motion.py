@@ -1,7 +1,5 @@
 """Motion of a record for searches and fits: its extents, and the signals of an effect's force."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeVar
 

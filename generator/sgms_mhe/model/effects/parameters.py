@@ -1,7 +1,5 @@
 """Parameters of an effect, and how far a fit of it may go."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

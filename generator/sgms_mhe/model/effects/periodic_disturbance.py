@@ -1,7 +1,5 @@
 """A force periodic in time: a pump, a fan, mains hum, a neighbouring axis."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca
@@ -47,11 +45,7 @@ DEFINITION = EffectDefinition(
     simpler=Simpler(("constant_offset", "step_disturbance")),
     # The phase found is that of the signals, which leave the signal chain with its delay.
     search=Harmonic(
-        "time",
-        "amplitude_N",
-        "frequency_Hz",
-        weights=lambda m: [np.ones(len(m.time))],
-        factors=lambda _, k: [ones(k)],
+        "time", "amplitude_N", "frequency_Hz", weights=lambda m: [np.ones(len(m.time))], factors=lambda _, k: [ones(k)]
     ),
     linear=True,
     repeatable=True,

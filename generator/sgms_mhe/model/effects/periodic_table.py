@@ -7,8 +7,6 @@ of a point rounding puts a position on. A look-up is written as sum_k (x = k) c_
 evaluates as it stands; the emitted C has an array of its own for it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final

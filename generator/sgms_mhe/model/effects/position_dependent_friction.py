@@ -1,7 +1,5 @@
 """Friction that varies along the travel: a guide's straightness, bearing balls, lubricant."""
 
-from __future__ import annotations
-
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.search import Values

@@ -1,7 +1,5 @@
 """A force that repeats with position, of any shape: cogging over a pitch, a turn or the whole stroke."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -88,10 +86,7 @@ DEFINITION = EffectDefinition(
     moves=("travel",),
     simpler=Simpler(("force_ripple", "constant_offset", "position_spring")),
     search=Periodic(
-        sine=ripple_search("sine_N", lambda m: np.ones(len(m.time))),
-        order=_ORDER,
-        cosine=_COSINE.name,
-        room=ROOM,
+        sine=ripple_search("sine_N", lambda m: np.ones(len(m.time))), order=_ORDER, cosine=_COSINE.name, room=ROOM
     ),
     linear=True,
 )

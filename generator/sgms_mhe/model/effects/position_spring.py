@@ -1,7 +1,5 @@
 """A force proportional to position: a cable or a hose that bends, a tilted table, a gravity compensator."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler

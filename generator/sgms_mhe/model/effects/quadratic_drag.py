@@ -1,7 +1,5 @@
 """Drag proportional to the square of the speed: air, coolant, a fan effect."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

@@ -1,7 +1,5 @@
 """The sizes that a machine sets: what effects count in, which know no machine themselves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

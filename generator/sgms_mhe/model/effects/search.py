@@ -5,8 +5,6 @@ few numbers that it is not linear in (pitch, frequency, time constant). A strate
 engines that try them live in the diagnosis and know no effect.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal

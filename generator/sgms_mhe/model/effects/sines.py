@@ -1,7 +1,5 @@
 """Common parts of effects that are sines."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

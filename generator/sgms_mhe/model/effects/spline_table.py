@@ -8,8 +8,6 @@ so that a value takes 4 look-ups, of two coordinates 16, whatever the table's le
 not zero before it is made an index, and the table has zeros there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -96,9 +94,4 @@ def cubic(u: ca.SX) -> ca.SX:
 def spline_pieces(t: ca.SX) -> tuple[ca.SX, ...]:
     """Six times the four splines that are not zero at t of a cell, 0 to 1."""
     rest = 1.0 - t
-    return (
-        rest * rest * rest,
-        (3.0 * t - 6.0) * t * t + 4.0,
-        (3.0 * rest - 6.0) * rest * rest + 4.0,
-        t * t * t,
-    )
+    return (rest * rest * rest, (3.0 * t - 6.0) * t * t + 4.0, (3.0 * rest - 6.0) * rest * rest + 4.0, t * t * t)

@@ -1,7 +1,5 @@
 """States of an effect's own."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """A force that sets in at some time: something was put down, a brake touches, a hose slipped."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis

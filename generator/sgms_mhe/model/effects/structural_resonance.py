@@ -1,7 +1,5 @@
 """A part of the mass that hangs on a spring: payload, chuck, a bridge's yaw."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

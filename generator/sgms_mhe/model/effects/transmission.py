@@ -1,7 +1,5 @@
 """Common parts of effects of a gear: the torque that the drive transmits."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sgms_mhe.model.effects.excitation import Excitation, Need

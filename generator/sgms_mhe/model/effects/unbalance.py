@@ -1,7 +1,5 @@
 """Gravity on an arm, or on a rotor whose centre of mass is off the axis: a torque with the period of a turn."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Viscous friction that changes over time: a lubricant that warms up."""
 
-from __future__ import annotations
-
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, Excitation, Need
 from sgms_mhe.model.effects.drift import drift_factor, drift_limit, drift_parameters, drift_search

@@ -3,8 +3,6 @@
 Where an axis stops, its force goes on to that of rest for a fraction of a second, though nothing moves any more.
 """
 
-from __future__ import annotations
-
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects import EffectDefinition, Excitation, Need, Simpler
 from sgms_mhe.model.effects.lag import FILM_LAG, add_film
