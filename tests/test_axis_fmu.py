@@ -22,7 +22,8 @@ from package_variants import EFFECTS, GEARED
 from sgms_mhe.emission.axis_forms import axis_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import plant_effects, simulate_axis
+from sgms_mhe.plant.native import loaded_library
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.support.errors import InputError
 
@@ -44,7 +45,7 @@ def test_effects_name_their_parameters_in_the_order_of_the_plant() -> None:
     """The FMU places parameters by it."""
     from sgms_mhe.model.effects import effect_definition
 
-    found = plant_effects()
+    found = dict(loaded_library().effects)
     assert set(found) == {*EFFECTS, *GEARED}
     for name, names in found.items():
         assert tuple(p.name for p in effect_definition(name).parameters) == names

@@ -24,7 +24,6 @@ USED_FROM_OUTSIDE = {
     "emit": "logging",
     "_repr_html_": "notebooks",
     "to_frame": "Python code of users, for series as a DataFrame",
-    "plant_effects": "the test that model and plant know the same effects",
     "forget_distributions": "tests that install distributions",
 }
 """What nothing in the packages uses, and who does."""

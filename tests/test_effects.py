@@ -38,7 +38,8 @@ from sgms_mhe.model.effects.excitation import MEASURES
 from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step, Trials
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import plant_effects, simulate_axis
+from sgms_mhe.plant.native import loaded_library
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.recordings.free_run import run_freely
@@ -227,7 +228,7 @@ def rms(values: Array) -> float:
 
 def test_model_and_plant_know_the_same_effects() -> None:
     of_model = {name: tuple(p.name for p in effect_definition(name).parameters) for name in EFFECT_NAMES}
-    assert of_model == plant_effects()
+    assert of_model == dict(loaded_library().effects)
     assert set(CASES) == set(EFFECT_NAMES)
     assert len(EFFECT_NAMES) == 31
 

@@ -151,7 +151,6 @@ def test_weights_are_chosen_in_the_norm_that_is_asked(small: Path, tmp_path: Pat
     said = json.loads(done("tune", small, path, "--objective", objective, "--json").stdout)
     about = [statement["about"] for statement in said["statements"]]
     assert {"error of the force, an update ahead", "error of the motion, 0.1 s ahead"} <= set(about)
-    assert said["motion_rms_m"]["after"] > 0.0 and said["innovation_rms_N"]["after"] > 0.0
 
 
 def test_statements_have_the_files_weights_whatever_was_tried(small: Path) -> None:

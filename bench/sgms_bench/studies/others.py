@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -23,7 +24,6 @@ from numpy.typing import NDArray
 import sgms_mhe
 from sgms_bench.studies.cases import done_of
 from sgms_mhe.machine import Machine
-from sgms_mhe.support.libraries import has_library
 from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
 from sgms_mhe.support.tables import CsvTable
 
@@ -334,10 +334,15 @@ def others_study(joints: int, seconds: float, place: WorkerSlot = HERE) -> CsvTa
         seconds: of each of a joint's three motions.
         place: where they run.
     """
-    names = [name for name in AXES if has_library("bam") or name.startswith("MuJoCo")][:joints]
+    has_servos = find_spec("bam") is not None
+    names = [name for name in AXES if has_servos or name.startswith("MuJoCo")][:joints]
     rows = results([Task(name, joint_row, (name, seconds, 1)) for name in names], place, done_of("joints"))
     formats = {"joint": "", "inertia": "+.1f", "gravity": "+.1f", "floors": ".2f", "left": ".1f", "verdict": ""}
-    absent = () if has_library("bam") else ("servos: pip install better-actuator-models, which takes Python 3.12;",)
+    absent = (
+        ()
+        if find_spec("bam") is not None
+        else ("servos: pip install better-actuator-models, which takes Python 3.12;",)
+    )
     return CsvTable(
         f"joints that others wrote, three motions of {seconds:g} s each",
         formats | {"PD": ".2f", "static": ".2f", "C": ".2f"},

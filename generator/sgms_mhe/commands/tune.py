@@ -48,18 +48,15 @@ def command(
 
 
 def _content(tuned: Tuned) -> dict[str, Any]:
-    content = {
+    return {
         "machine": tuned.machine.name,
         "changes": tuned.changes(),
         "loss": {"before": tuned.start.mean, "after": tuned.best.mean},
         "test_ratio": {"before": tuned.start.ratio, "after": tuned.best.ratio},
-        "innovation_rms_N": {"before": tuned.start.force, "after": tuned.best.force},
-        "motion_rms_m": {"before": tuned.start.motion, "after": tuned.best.motion},
         "better_by_sigmas": tuned.best.better_by(tuned.start) if tuned.best.changes else 0.0,
         "kept": list(tuned.kept),
         "statements": [statement.to_json() for statement in tuned.statements],
     }
-    return dict(tuned.machine.plant.units.keyed(content))
 
 
 def _text(tuned: Tuned, outputs: list[Path]) -> str:

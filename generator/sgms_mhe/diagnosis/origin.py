@@ -242,7 +242,7 @@ class _Tried:
 
 def _judge(search: _OriginSearch, tried: _Tried, period: float | None) -> Origin:
     """Return the best origin, or why there is none."""
-    every, held = np.ones(tried.rests.shape[1], dtype=np.bool_), _held_rows(search.recording)
+    every, held = np.ones(tried.rests.shape[1], dtype=np.bool_), search.recording.rows_held_out()[search.recording.used]
     gain, lower = _held_out_gain(search, tried, held)
     starts = tried.minima(every)[:CONTENDERS]
     refined = run_parallel([partial(search.refine, start, tried.step, every) for start in starts])
@@ -262,11 +262,6 @@ def _judge(search: _OriginSearch, tried: _Tried, period: float | None) -> Origin
 
 def _leave_open(reason: str, gain: float = 0.0, candidates: tuple[float, ...] = ()) -> Origin:
     return Origin(None, None, None, candidates, gain, reason)
-
-
-def _held_rows(recording: Recording) -> Mask:
-    """Rows of held-out blocks among the used ones."""
-    return np.asarray(recording.rows_held_out()[recording.used])
 
 
 def _held_out_gain(search: _OriginSearch, tried: _Tried, held: Mask) -> tuple[float, float]:

@@ -255,7 +255,7 @@ def _search(laws: Laws, criteria: Criteria) -> Searched:
             found = search_step(laws.chosen, current, number, seen, criteria)
             seen |= found.seen
             ended = found.fit is None
-            if compared or found.fit is None or _gain(current, found.fit) > laws.doubt:
+            if compared or found.fit is None or found.fit.gain_over(current) > laws.doubt:
                 scores += found.scores
                 if found.fit is not None:
                     known = prune_effects(laws.chosen, found.fit, criteria, least=1)
@@ -284,11 +284,6 @@ def drop_effects(searched: Searched) -> Searched:
     """The same with none of the effects that were found."""
     laws, fit = fit_law(searched.laws, (), searched.criteria)
     return replace(searched, laws=laws, fit=fit)
-
-
-def _gain(before: Fit, after: Fit) -> float:
-    """RMS of the force that a fit explains and the one before it did not, on unseen folds [N]."""
-    return after.gain_over(before)
 
 
 def select_causes(searched: Searched) -> Selection:

@@ -5,8 +5,6 @@ changes, and, unless the axis is homed, the origin of its position. All else tha
 Each record in turn is held out of the fit of that, and what the others say is judged there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -163,7 +161,7 @@ class _AxisRecord:
     origin: Origin | None
 
     @classmethod
-    def along(cls, found: Diagnosis, log: Log, is_further: bool, held_out_s: Intervals | None) -> _AxisRecord:
+    def along(cls, found: Diagnosis, log: Log, is_further: bool, held_out_s: Intervals | None) -> "_AxisRecord":
         """Return a log along the extended machine; `held_out_s`: as of `diagnose`.
 
         Places count from the origin of the first record, which a further one (`is_further`) has to tell.

@@ -4,8 +4,6 @@ CasADi differentiates; this graph stages. Every node carries the set of inputs i
 parameters alone or on signals alone can be found and computed once instead of in every Runge-Kutta stage.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -33,7 +31,7 @@ class Node:
     """
 
     op: str
-    args: tuple[Node, ...]
+    args: "tuple[Node, ...]"
     inputs: frozenset[str]
     value: float = 0.0
     label: str = ""

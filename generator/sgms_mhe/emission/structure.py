@@ -6,8 +6,6 @@ parameters alone, once per update), sample terms (what depends on signals alone,
 through which the parameters enter a block, which are the only ones its sensitivities are propagated for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from itertools import islice

@@ -123,7 +123,7 @@ def compare_estimates(
     deflections = zip(generated.z_m.T, reference.z_m.T, strict=True)
     rows += [(f"z_{i + 1}_m", ours, theirs, tolerance.deflection) for i, (ours, theirs) in enumerate(deflections)]
     quantities = [
-        _quantity(units.named(name), ours, theirs, _range(theirs), allowed, everywhere)
+        _quantity(units.named(name), ours, theirs, float(np.ptp(theirs)) if len(theirs) else 0.0, allowed, everywhere)
         for name, ours, theirs, allowed in rows
     ]
     flags = generated.status ^ reference.status
@@ -182,10 +182,6 @@ def undecided_flags(
     for name, mask in (("hold", at_hold), ("speed", at_speed), ("bound", at_bound)):
         flags[mask] |= FLAGS[name]
     return flags
-
-
-def _range(values: Array) -> float:
-    return float(np.ptp(values)) if len(values) else 0.0
 
 
 def _bounds(estimates: Estimates) -> int:

@@ -1,7 +1,5 @@
 """The emitted C, compiled for this host and called from Python."""
 
-from __future__ import annotations
-
 import ctypes
 import tempfile
 from collections.abc import Callable, Sequence
@@ -176,7 +174,7 @@ class CompiledEstimator:
         run = self._run(self.start(), log, mode, progress)
         return self.estimates_of(run, log.time_s[self._samples :: self._samples])
 
-    def running(self) -> RunningEstimator:
+    def running(self) -> "RunningEstimator":
         """A fresh estimator for samples that come one piece after the other."""
         return RunningEstimator(self)
 

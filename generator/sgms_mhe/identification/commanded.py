@@ -3,8 +3,6 @@
 No force was recorded, so the fit is one of output error. Loads that the runs state tell inertia and torque apart.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -182,7 +180,7 @@ class _FreeRuns:
         self.bounds = np.maximum(limits[0], least) / self.unit, limits[1] / self.unit
         self.extent = max(record.extent for record in self.records)
 
-    def part(self, which: Sequence[int]) -> _FreeRuns:
+    def part(self, which: Sequence[int]) -> "_FreeRuns":
         """Return the problem of some runs."""
         other = object.__new__(_FreeRuns)
         other.__dict__.update(vars(self))

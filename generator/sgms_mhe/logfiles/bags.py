@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,15 +22,6 @@ UNITS: Final = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N
 _WHOLE: Final = "a whole bag of ROS 1 or 2, or MCAP file of ROS messages in CDR"
 
 
-class _Value(NamedTuple):
-    """A number of a message: its clock, that of its topic or joint; its column; and the unit of that."""
-
-    clock: str
-    column: str
-    unit: str
-    number: float
-
-
 def read_bag(path: Path) -> Table:
     """The table of a bag's topics: `TOPIC.member`, of a JointState `TOPIC.JOINT.position`, each with its topic's time.
 
@@ -46,61 +37,58 @@ def read_bag(path: Path) -> Table:
         with refuse_damage(path, _WHOLE), highlevel.AnyReader([path], default_typestore=store) as reader:
             yield reader
 
-    units, clocks, topics, unread = {}, {}, {}, []
+    columns: dict[str, tuple[str, str, str]] = {}  # clock, unit and topic by name
+    unread = []
     with open_bag() as reader:
         for connection in reader.connections:
+            units = UNITS if connection.msgtype.endswith("/JointState") else {}
             try:
-                values = list(islice(_messages(reader, [connection]), BEGINNING))
+                for _, numbers in islice(_messages(reader, [connection]), BEGINNING):
+                    for group, member, _ in numbers:
+                        columns[f"{group}.{member}"] = f"{group}.stamp", units.get(member, ""), connection.topic
             except (stores.TypesysError, KeyError):
-                unread.append(f"{connection.topic} ({connection.msgtype})")
-                continue
-            for value in (value for _, found in values for value in found):
-                units[value.column], clocks[value.column] = value.unit, value.clock
-                topics[value.column] = topics[value.clock] = connection.topic
-    stamps = dict.fromkeys(clocks.values())
+                unread.append(
+                    f"left out, its messages are of an unknown type: {connection.topic} ({connection.msgtype})"
+                )
+    clocks = {name: clock for name, (clock, _, _) in columns.items()}
+    columns = {clock: (clock, "s", topic) for clock, _, topic in columns.values()} | columns
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
-        wanted = {name: clocks.get(name, name) for name in names}
-        rows: dict[str, list[dict[str, float]]] = {clock: [] for clock in wanted.values()}
+        rows: dict[str, list[dict[str, float]]] = {columns[name][0]: [] for name in names}
+        topics = {columns[name][2] for name in names}
         with open_bag() as reader:
-            asked = {topics[name] for name in names}
-            for time, found in _messages(reader, [c for c in reader.connections if c.topic in asked]):
+            for time, numbers in _messages(reader, [c for c in reader.connections if c.topic in topics]):
                 row: dict[str, dict[str, float]] = {}
-                for value in found:
-                    row.setdefault(value.clock, {value.clock: time})[value.column] = value.number
+                for group, member, number in numbers:
+                    row.setdefault(clock := f"{group}.stamp", {clock: time})[f"{group}.{member}"] = number
                 for clock in row.keys() & rows.keys():
                     rows[clock].append(row[clock])
-        return {name: np.array([row.get(name, np.nan) for row in rows[clock]]) for name, clock in wanted.items()}
+        return {name: np.array([row.get(name, np.nan) for row in rows[columns[name][0]]]) for name in names}
 
-    units = dict.fromkeys(stamps, "s") | units
-    columns = columns_of(list(units), list(units.values()))
-    notes = [f"left out, its messages are of an unknown type: {name}" for name in unread]
-    return Table("ROS bag", columns, read, array_row, stamped=frozenset(stamps), notes=tuple(notes), clocks=clocks)
+    found = columns_of(list(columns), [unit for _, unit, _ in columns.values()])
+    stamps = frozenset(clocks.values())
+    return Table("ROS bag", found, read, array_row, stamped=stamps, notes=tuple(unread), clocks=clocks)
 
 
-def _messages(reader: Any, connections: Sequence[Any]) -> Iterator[tuple[float, list[_Value]]]:
-    """Yield each message's time since the bag began [s] and its numbers."""
+def _messages(reader: Any, connections: Sequence[Any]) -> Iterator[tuple[float, Iterator[tuple[str, str, float]]]]:
+    """Yield each message's time since the bag began [s], and its numbers."""
     for connection, recorded, data in reader.messages(connections):
         message = reader.deserialize(data, connection.msgtype)
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         time = 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
-        units = UNITS if connection.msgtype.endswith("/JointState") else {}
-        yield ((time or recorded) - reader.start_time) / 1e9, list(_numbers(connection.topic, message, units))
+        yield ((time or recorded) - reader.start_time) / 1e9, _numbers(connection.topic, message)
 
 
-def _numbers(topic: str, message: Any, units: Mapping[str, str]) -> Iterator[_Value]:
-    """Yield the numbers of a message; of arrays beside a list of joints' names, each by its joint."""
+def _numbers(topic: str, message: Any) -> Iterator[tuple[str, str, float]]:
+    """Yield the topic, or the topic and a joint, member and value of the numbers of a message."""
     joints = getattr(message, "name", None) or getattr(message, "joint_names", None)
     joints = joints if isinstance(joints, list) else []
     for member in (name for name in vars(message) if name not in ("header", "name", "joint_names")):
         value = getattr(message, member)
         if joints and isinstance(value, np.ndarray) and len(value) == len(joints):
-            for joint, number in zip(joints, value, strict=True):
-                clock = f"{topic}.{joint}"
-                yield _Value(f"{clock}.stamp", f"{clock}.{member}", units.get(member, ""), float(number))
+            yield from ((f"{topic}.{joint}", member, float(n)) for joint, n in zip(joints, value, strict=True))
         else:
-            for name, number in _flatten(member, value):
-                yield _Value(f"{topic}.stamp", f"{topic}.{name}", units.get(member, ""), number)
+            yield from ((topic, name, number) for name, number in _flatten(member, value))
 
 
 def _flatten(name: str, value: Any) -> Iterable[tuple[str, float]]:

@@ -4,8 +4,6 @@ What the first rows tell holds for the rest: encoding, dialect, columns, units, 
 told follows from the bytes alone, never from how they came.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace

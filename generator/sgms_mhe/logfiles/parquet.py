@@ -83,7 +83,9 @@ def _read_episodes(path: Path, table: Table, info: Path) -> Table:
     """The table with the names of a data set's lists, and with its episodes one after the other, a pause between."""
     with refuse_damage(info, "what a LeRobot data set says of itself: features, with the names of their elements"):
         features = json.loads(info.read_text())["features"]
-        named = {f"{name}[{k}]": f"{name}.{part}" for name, f in features.items() for k, part in enumerate(_names(f))}
+        parts = {name: feature.get("names") or () for name, feature in features.items()}
+        parts = {name: next(iter(p.values())) if isinstance(p, dict) else p for name, p in parts.items()}  # version 2
+        named = {f"{name}[{k}]": f"{name}.{part}" for name, own in parts.items() for k, part in enumerate(own)}
     names = {named.get(column.name, column.name): column.name for column in table.columns}
     columns = tuple(Column(name, name, "s" if name == CLOCK else "") for name in names)
 
@@ -114,9 +116,3 @@ def _read_episodes(path: Path, table: Table, info: Path) -> Table:
 
     note = f"{len(begins) + 1} episodes, one after the other: between them {pause} samples are missing"
     return replace(table_of_all, read=read, row=lambda i: array_row(int(np.searchsorted(place, i))), notes=(note,))
-
-
-def _names(feature: Mapping[str, Any]) -> Sequence[str]:
-    """Return the names of a feature's elements, which some versions keep below one key."""
-    names = feature.get("names") or ()
-    return next(iter(names.values())) if isinstance(names, dict) else names

@@ -5,8 +5,6 @@ would follow them and say nothing. What no axis can have measured is refused her
 The limits are far from anything that a real axis, a wrong number of the machine or a coarse encoder would come to.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -152,7 +150,7 @@ def _slope(x: Array, y: Array) -> float | None:
     return slope if float(np.max(np.abs(y - slope * x))) <= STRAIGHT * float(np.ptp(y)) else None
 
 
-def _check_speed(log: Log, machine: Machine, motion: _Motion) -> None:
+def _check_speed(log: Log, machine: Machine, motion: "_Motion") -> None:
     """Refuse a motion that is too fast for the axis.
 
     Columns that are swapped have friction that drives the motion: where it does not, the unit is wrong.
@@ -184,7 +182,7 @@ def _swap(log: Log) -> str:
     return f'swapped with {force}? Then [log] has {position} = "{force}" and {force} = "{position}"'
 
 
-def _check_swapped(log: Log, machine: Machine, motion: _Motion) -> None:
+def _check_swapped(log: Log, machine: Machine, motion: "_Motion") -> None:
     """Refuse columns that say nothing of mass and friction, and are this axis's where each stands for the other."""
     if _inertia(motion, machine) != 0.0 or _braking(log, motion) != 0:
         return

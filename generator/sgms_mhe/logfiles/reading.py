@@ -149,7 +149,8 @@ def understand_table(
         say(f"{timing.rate:.4g} samples per second: {advice}")
     rate = machine.sampling.rate if machine is not None else stated
     resampling = None
-    if (table.run or resampled) and not _on_grid(timing, rate):
+    is_at_rate = rate is None or abs(timing.rate - rate) <= JITTER * rate
+    if (table.run or resampled) and not (timing.uniform and is_at_rate):
         resampling = resample(path, columns, timing, rate)
         columns = dict(resampling.columns)
         say(resampling.note)
@@ -286,7 +287,3 @@ def _read_file(path: Path, mapping: LogMapping | None, least: int) -> Table:
             raise
         allowed = f"{error.allowed}; or a log with one of the suffixes {', '.join((*TEXTS, *SUFFIXES, *READERS))}"
         raise InputError(path, error.where, error.value, allowed) from None
-
-
-def _on_grid(timing: Timing, rate: float | None) -> bool:
-    return timing.uniform and (rate is None or abs(timing.rate - rate) <= JITTER * rate)

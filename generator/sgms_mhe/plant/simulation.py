@@ -18,7 +18,7 @@ import numpy as np
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Value
 from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.native import LOG_COLUMNS, TRUTH_COLUMNS, Compensation, NativeAxis, loaded_library
+from sgms_mhe.plant.native import LOG_COLUMNS, TRUTH_COLUMNS, Compensation, NativeAxis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array
@@ -153,8 +153,3 @@ def simulate_axis(
     known = {name.removeprefix("true_"): columns[name] for name in TRUTH_COLUMNS}
     deflection = columns["true_deflection_m"].reshape(n, n_z)
     return SimulatedRun(log, machine.plant.moved, Truth(time_s=time, deflection_m=deflection, **known))
-
-
-def plant_effects() -> dict[str, tuple[str, ...]]:
-    """Effects that the plant can have, and the names of their parameters."""
-    return dict(loaded_library().effects)

@@ -4,8 +4,6 @@ A move is a velocity pulse smoothed by two running means, of the acceleration ti
 classical seven-segment profile with piecewise constant jerk, exact in distance on the sample grid.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -52,7 +50,7 @@ class Trajectory:
         """Central second difference (n) [m/s^2]; at rest before the first and after the last position."""
         return np.diff(self.position_m, n=2, prepend=self.position_m[:1], append=self.position_m[-1:]) * self.rate**2
 
-    def repeat(self, duration_s: float) -> Trajectory:
+    def repeat(self, duration_s: float) -> "Trajectory":
         """The trajectory repeated from its end on, cut to `duration_s`; periodic where it ends at its start."""
         n = max(1, round(duration_s * self.rate))
         period = len(self.position_m)

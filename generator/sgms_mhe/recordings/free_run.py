@@ -187,7 +187,8 @@ class MotionRecord:
     ) -> NativeAxis:
         """Return a machine's axis, at rest at the first sample, with these true numbers and effects that it hides."""
         config = _config(machine, self.log.rate, self._is_commanded)
-        axis = NativeAxis(_set_rate(machine, self.log.rate), config, hidden)
+        sampling = machine.sampling.model_copy(update={"rate": self.log.rate})
+        axis = NativeAxis(replace(machine, sampling=sampling), config, hidden)
         axis.enable(self._on)
         for name, value in parameters.items():
             axis.replace(name, value)
@@ -238,10 +239,6 @@ class MotionRecord:
 
         found = least_squares(residual, np.zeros(3), bounds=([-np.inf, -np.inf, -1.0], [np.inf, np.inf, 1.0]))
         return ShotStart(first, *(guess + scale * found.x).tolist())
-
-
-def _set_rate(machine: Machine, rate: float) -> Machine:
-    return replace(machine, sampling=machine.sampling.model_copy(update={"rate": rate}))
 
 
 def _config(machine: Machine, rate: float, commanded: bool) -> AxisConfig:

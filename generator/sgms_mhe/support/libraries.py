@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,11 +30,6 @@ def optional_library(module: str, extra: str, purpose: str, source: str | Path =
     except ImportError:
         allowed = f"not installed, {purpose} needs it: pip install 'sgms-mhe[{extra}]'"
         raise InputError(source, "library", module.partition(".")[0], allowed) from None
-
-
-def has_library(name: str) -> bool:
-    """Return True if a library is installed, without importing it."""
-    return find_spec(name) is not None
 
 
 def data_frame(columns: Mapping[str, NDArray[Any]]) -> Any:
