@@ -338,11 +338,7 @@ def others_study(joints: int, seconds: float, place: WorkerSlot = HERE) -> CsvTa
     names = [name for name in AXES if has_servos or name.startswith("MuJoCo")][:joints]
     rows = results([Task(name, joint_row, (name, seconds, 1)) for name in names], place, done_of("joints"))
     formats = {"joint": "", "inertia": "+.1f", "gravity": "+.1f", "floors": ".2f", "left": ".1f", "verdict": ""}
-    absent = (
-        ()
-        if find_spec("bam") is not None
-        else ("servos: pip install better-actuator-models, which takes Python 3.12;",)
-    )
+    absent = () if has_servos else ("servos: pip install better-actuator-models, which takes Python 3.12;",)
     return CsvTable(
         f"joints that others wrote, three motions of {seconds:g} s each",
         formats | {"PD": ".2f", "static": ".2f", "C": ".2f"},

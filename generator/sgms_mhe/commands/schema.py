@@ -1,5 +1,7 @@
 """`sgms-mhe schema`."""
 
+from __future__ import annotations
+
 from sgms_mhe.commands.common import json_text, note_broken_effects, show
 from sgms_mhe.commands.options import make_command
 

@@ -1,5 +1,7 @@
 """`sgms-mhe start`."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path

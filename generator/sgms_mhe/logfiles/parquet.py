@@ -14,8 +14,6 @@ from sgms_mhe.support.libraries import optional_library
 
 INFO: Final = Path("meta/info.json")
 """What a LeRobot data set says of itself, below its folder."""
-DEPTH: Final = 3
-"""Folders of such a data set above one of its files."""
 EPISODE: Final = "episode_index"
 CLOCK: Final = "timestamp"
 PAUSE_S: Final = 1.0
@@ -32,7 +30,7 @@ def read_parquet(path: Path) -> Table:
     with refuse_damage(path, "a whole Parquet file, or a data set of some"):
         content = parquet.ParquetDataset(path / "data" if path.is_dir() else path)
     table = _read(path, "Parquet", content.schema, lambda names: content.read(columns=names))
-    folders = (path, *path.absolute().parents[:DEPTH])
+    folders = (path, *path.absolute().parents)
     info = next((folder / INFO for folder in folders if (folder / INFO).is_file()), None)
     return table if info is None else _read_episodes(path, table, info)
 
