@@ -66,9 +66,8 @@ def read_bag(path: Path) -> Table:
         return {name: np.array([row.get(name, np.nan) for row in rows[columns[name][0]]]) for name in names}
 
     found = columns_of(list(columns), [unit for _, unit, _ in columns.values()])
-    return Table(
-        "ROS bag", found, read, array_row, stamped=frozenset(clocks.values()), notes=tuple(unread), clocks=clocks
-    )
+    stamps = frozenset(clocks.values())
+    return Table("ROS bag", found, read, array_row, stamped=stamps, notes=tuple(unread), clocks=clocks)
 
 
 def _messages(reader: Any, connections: Sequence[Any]) -> Iterator[tuple[float, Iterator[tuple[str, str, float]]]]:

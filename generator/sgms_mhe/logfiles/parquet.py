@@ -73,8 +73,7 @@ def _read(path: Path, form: str, schema: Any, read_columns: Callable[[list[str]]
 
 
 def _unit(metadata: Any) -> str:
-    value = (metadata or {}).get(b"unit", b"")
-    return str(value.decode("utf-8", "replace"))
+    return str((metadata or {}).get(b"unit", b"").decode("utf-8", "replace"))
 
 
 def _read_episodes(path: Path, table: Table, info: Path) -> Table:
