@@ -103,7 +103,7 @@ def _tiles(found: Survey) -> list[Row]:
         shown, text = stated(s), s.text
         if s.kind == "number" and s.sure == "yes":
             text = "; ".join(filter(None, (shown.spread and f"± {shown.spread} {shown.unit}", text)))
-        value = f"{shown.value}{SPACE}{shown.unit}" if s.sure == "yes" else "–"
+        value = f"{shown.value} {shown.unit.replace(' ', SPACE)}" if s.sure == "yes" else "–"
         kind = "" if s.sure == "yes" else "before"
         if s.kind == "sign":
             tiles[0] = tile(f"Sign of the {units.push}", "right" if s.sure == "yes" else "open", s.next or "", kind)
@@ -115,6 +115,6 @@ def _tiles(found: Survey) -> list[Row]:
                 "Gravity, other constant load", value, "; ".join((title(s.about.partition(".")[0]), text)), kind
             )
         elif s.rule is Rule.NOISE:
-            step = reading(float(s.numbers["step"]), units.position)
+            step = reading(float(s.numbers["step"]), units.position) if s.numbers["step"] else "no size that shows"
             tiles[5] = tile(f"Noise of the {units.push}", value, f"of the position: steps of {step}")
     return [tiles[place] for place in sorted(tiles)]
