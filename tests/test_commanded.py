@@ -183,7 +183,6 @@ def test_what_only_a_force_has_is_refused(servo: Machine, tmp_path: Path) -> Non
         (("identify", log, "--like", machine, "--out", tmp_path / "a.toml", "--elements", "2"), "elements"),
         (("identify", log, "--like", machine, "--out", tmp_path / "a.toml", "--inertia", "1"), "mass"),
         (("diagnose", machine, log, "--out", tmp_path / "d"), "torque_Nm"),
-        (("estimate", machine, log, "--out", tmp_path / "e.csv"), "torque_Nm"),
         (("predict", machine, log, "--out", tmp_path / "p.csv"), "--free-run"),
     ):
         assert said in refused(*words)

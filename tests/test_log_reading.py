@@ -387,7 +387,8 @@ LIBRARIES = [(".h5", "h5py"), (".parquet", "pyarrow"), (".mf4", "asammdf"), (".b
 
 @pytest.mark.parametrize(("suffix", "library"), LIBRARIES)
 def test_an_absent_library_is_named(suffix: str, library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, library, None)
+    for name in {library, *(name for name in sys.modules if name.startswith(f"{library}."))}:
+        monkeypatch.setitem(sys.modules, name, None)
     path = tmp_path / f"log{suffix}"
     path.write_bytes(b"anything")
     with pytest.raises(InputError, match=rf"{library}': not installed, .* needs it: pip install 'sgms-mhe\[\w+\]'$"):

@@ -133,7 +133,8 @@ def test_a_diagnosis_says_what_cannot_be_meant(
     assert found["limits"] == [found["summary"]] and re.search(case[2], found["summary"])
     assert f"unexplained: {found['summary']}" in result.stdout
     report = (tmp_path / "out" / "report.html").read_text()
-    assert "cannot be what they are called" in report and str(escape(found["summary"])) in report
+    assert "Nothing was fitted to this log" in report and str(escape(found["summary"])) in report
+    assert f"<title>{machine.name}" in report
     assert json.loads(run(*arguments, "--json").stdout) == found
 
 

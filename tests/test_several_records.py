@@ -154,41 +154,26 @@ def test_an_offset_of_each_record_is_no_one_number_and_the_estimator_follows_it(
 
 @pytest.mark.parametrize("objective", ["motion", "both"])
 def test_numbers_of_the_written_file_are_those_of_the_motion(machine: Machine, objective: Objective) -> None:
-    """Level, ripple and mass of the file and of its causes alike; what no cause says is another stays."""
-    heavy = ("mass_mismatch", {"mass_kg": 2.0})
-    log = record_axis(machine, 2, [RIPPLE, heavy])
+    """Level and ripple of the file and of its causes alike; the mass is that of the force."""
+    log = record_axis(machine, 2, [RIPPLE])
     level, amplitude = machine.friction.coulomb, RIPPLE[1]["amplitude_N"]
-    wrong = make_diagnosis(
-        machine, log, [(RIPPLE[0], {**RIPPLE[1], "amplitude_N": 0.5 * amplitude})], {"coulomb": 1.2 * level}
-    )
-    cause = replace(
-        wrong.causes[0],
-        name="mass_mismatch",
-        label="mass_mismatch",
-        parameters={"mass_kg": 1.0},
-        std={"mass_kg": math.nan},
-    )
-    assert wrong.extended is not None
-    heavier = override_machine(wrong.extended, {"plant": {"mass": machine.plant.mass + 1.0}})
-    found = refit_to_motion(replace(wrong, causes=(*wrong.causes, cause), extended=heavier), [log], objective)
+    less = (RIPPLE[0], {**RIPPLE[1], "amplitude_N": 0.5 * amplitude})
+    found = refit_to_motion(make_diagnosis(machine, log, [less], {"coulomb": 1.2 * level}), [log], objective)
     assert found.extended is not None and found.refit is not None
     assert found.extended.friction.coulomb == pytest.approx(level, rel=0.02)
     assert found.extended.friction.stiffness == machine.friction.stiffness
-    assert found.extended.effects[0].parameters["amplitude_N"] == pytest.approx(amplitude, rel=0.1)
-    assert found.extended.plant.moved == pytest.approx(machine.plant.moved + 2.0, rel=0.01)
-    ripple, coulomb, mass = found.causes
+    assert found.extended.effects[0].parameters["amplitude_N"] == pytest.approx(
+        amplitude, rel=0.15
+    )  # the force is late
+    assert found.extended.plant == machine.plant
+    ripple, coulomb = found.causes
     assert ripple.parameters["amplitude_N"] == found.extended.effects[0].parameters["amplitude_N"]
-    assert (
-        coulomb.parameters["coulomb_N"] == found.extended.friction.coulomb
-        and 0.0 < coulomb.std["coulomb_N"] < 0.2 * level
-    )
-    assert mass.parameters["mass_kg"] == pytest.approx(found.extended.plant.moved - machine.plant.moved)
+    assert coulomb.parameters["coulomb_N"] == found.extended.friction.coulomb
+    assert 0.0 < coulomb.std["coulomb_N"] < 0.2 * level
     moved, before = found.refit.motion
     assert moved < 0.1 * before
     assert WrittenError.measure(machine, found.extended, log).motion[1] == pytest.approx(moved, rel=0.01)
     assert Rule.REFITTED_MOTION in [statement.rule for statement in found.statements]
-    alone = refit_to_motion(replace(wrong, causes=wrong.causes[:1]), [log], objective)
-    assert alone.extended is not None and alone.extended.plant == machine.plant
 
 
 def test_errors_of_the_written_file_are_those_of_predict(machine: Machine) -> None:

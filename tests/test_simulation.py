@@ -14,8 +14,8 @@ from sgms_mhe.configuration import load_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.plant.axis_config import AxisConfig, Controller
-from sgms_mhe.plant.native import COMPENSATION
-from sgms_mhe.plant.simulation import Truth, linear_drift, plant_effects, simulate_axis
+from sgms_mhe.plant.native import COMPENSATION, loaded_library
+from sgms_mhe.plant.simulation import Truth, linear_drift, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, hysteresis, make_trajectory
 from sgms_mhe.support.errors import InputError
 
@@ -692,7 +692,7 @@ def test_micro_viscous_effect_is_split_by_fraction(machine: Machine) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", sorted(plant_effects()))
+@pytest.mark.parametrize("name", sorted(loaded_library().effects))
 def test_closed_loop_with_every_effect(machine: Machine, name: str, law: str) -> None:
     typical = {
         "amplitude_N": 1.0, "amplitude_m": 5e-8, "pitch_m": 0.032, "phase_rad": 0.5, "force_N": 1.0, "time_s": 0.2,
@@ -714,7 +714,7 @@ def test_closed_loop_with_every_effect(machine: Machine, name: str, law: str) ->
         },
         "learned_residual": {"place_cells": 1.0, "place_low_m": 0.0, "place_high_m": 2e-3, "force_N": (0.5,) * 4},
     }
-    effect = (name, lists.get(name) or {parameter: typical[parameter] for parameter in plant_effects()[name]})
+    effect = (name, lists.get(name) or {parameter: typical[parameter] for parameter in loaded_library().effects[name]})
     machine = as_the_effect_wants(machine, name)
     trajectory = make_trajectory("mixed", 1e4, duration_s=3.0)
     run = simulate_axis(machine, trajectory, AxisConfig(law=law), hidden_effects=[effect])  # type: ignore[arg-type]
@@ -729,7 +729,7 @@ def test_closed_loop_with_every_effect(machine: Machine, name: str, law: str) ->
 
 
 def test_plant_knows_every_effect_of_the_model() -> None:
-    known = plant_effects()
+    known = dict(loaded_library().effects)
     for name in EFFECT_NAMES:
         assert set(known[name]) == {parameter.name for parameter in effect_definition(name).parameters}
 

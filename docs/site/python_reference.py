@@ -47,10 +47,16 @@ def _signature(name: str, function: Any) -> str:
         if parameter.kind is parameter.KEYWORD_ONLY and not starred:
             lines, starred = [*lines, "    *,"], True
         given = "" if parameter.default is parameter.empty else f" = {parameter.default!r}"
-        kind = re.sub(r"^Annotated\[(.*), Option\(.*\)\]$", r"\1", parameter.annotation)  # the command line's
+        kind = re.sub(r"^Annotated\[(.*), Option\(.*\)\]$", r"\1", _text(parameter.annotation))  # the command line's
         lines.append(f"    {parameter.name}: {kind}{given},")
     returned = inspect.signature(function).return_annotation
-    return "```python\n" + "\n".join([f"{name}(", *lines, f") -> {returned}"]) + "\n```"
+    return "```python\n" + "\n".join([f"{name}(", *lines, f") -> {_text(returned)}"]) + "\n```"
+
+
+def _text(annotation: Any) -> str:
+    """An annotation as it is written, without the modules of its names."""
+    text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    return re.sub(r"\b(?:[a-z_]\w*\.)+(?=[A-Za-z])", "", text)
 
 
 def _sections(text: str) -> str:

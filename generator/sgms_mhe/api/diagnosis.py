@@ -1,5 +1,7 @@
 """From a log to named causes."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,5 +1,7 @@
 """An estimator over a log, as the controller would run it, the model alone along it, the origin of its places."""
 
+from __future__ import annotations
+
 import math
 from pathlib import Path
 from typing import Annotated, Final, Literal

@@ -1,5 +1,7 @@
 """Motion that shows the causes of an error, and the effects that may be among them."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

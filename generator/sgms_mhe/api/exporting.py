@@ -1,5 +1,7 @@
 """An axis for other simulators."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial

@@ -1,5 +1,7 @@
 """Results over a table of machines and logs, and their page."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

@@ -1,5 +1,7 @@
 """From logs alone to a machine."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Embedded C out of a machine."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated

@@ -1,5 +1,7 @@
 """A simulated axis and the log that it leaves."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal

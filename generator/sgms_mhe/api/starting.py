@@ -1,5 +1,7 @@
 """A machine file to begin with, from the few numbers that somebody who sets up an axis knows."""
 
+from __future__ import annotations
+
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path

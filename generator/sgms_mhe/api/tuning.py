@@ -1,5 +1,7 @@
 """Weights of the estimator from a log."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -1,5 +1,7 @@
 """An estimator along a log that is replayed, or that grows: its updates as they come, and what they have come to."""
 
+from __future__ import annotations
+
 import math
 import os
 import select

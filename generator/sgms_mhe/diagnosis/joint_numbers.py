@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.beginning import refute_by_causes
 from sgms_mhe.diagnosis.causes import find_vague
 from sgms_mhe.diagnosis.extension import extend_machine
@@ -19,7 +18,7 @@ from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup
 from sgms_mhe.diagnosis.parts import Cause
 from sgms_mhe.diagnosis.record_fit import RecordFit
 from sgms_mhe.diagnosis.result import Diagnosis
-from sgms_mhe.machine import Machine, plant_content
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, base_number, effect_definition
 from sgms_mhe.recordings.output_error import Objective, refit_motion
 from sgms_mhe.signals.logs import Log
@@ -158,32 +157,21 @@ def adopt_numbers(
 def refit_to_motion(found: Diagnosis, logs: Sequence[Log], objective: Objective) -> Diagnosis:
     """Return a diagnosis whose extended machine has the numbers that its motion, or both norms, say.
 
-    They are fitted to the records as the file is run on them. Mass stays, where no cause says that it is another.
+    They are fitted to the records as the file is run on them. Mass stays: it is the file's, or the force's.
     """
     base = found.extended
     if base is None:
         return found
-    plant, given = base.plant, found.machine.plant.moved
-    refit = refit_motion(base, logs, objective, {"mass"} if plant.moved == given else ())
+    refit = refit_motion(base, logs, objective, {"mass"})
     groups = {effect.label: ParameterGroup.own(effect.name, effect.label) for effect in base.effects}
     groups |= {number.name: ParameterGroup.base(name) for name, c in BASE_CAUSES.items() for number in c.numbers}
     values: dict[ParameterGroup, dict[str, float]] = {}
     deviations: dict[ParameterGroup, dict[str, float]] = {}
-
-    def set_number(group: ParameterGroup, name: str, value: float, std: float) -> None:
-        values.setdefault(group, {})[name] = value
-        deviations.setdefault(group, {})[name] = std
-
     for key, value in refit.values.items():
         label, _, name = key.rpartition(".")
-        if key != "mass":
-            set_number(groups[label or name], name, value, refit.std[key])
-            continue
-        for cause in found.causes:
-            if not cause.nominal and (name := effect_definition(cause.name).adds_mass):
-                set_number(ParameterGroup.own(cause.name, cause.label), name, value - given, refit.std[key])
-    moved = override_machine(base, {"plant": plant_content(plant.kind, refit.values.get("mass", plant.moved))})
-    return replace(write_numbers(replace(found, extended=moved), moved, values, deviations), refit=refit)
+        values.setdefault(groups[label or name], {})[name] = value
+        deviations.setdefault(groups[label or name], {})[name] = refit.std[key]
+    return replace(write_numbers(found, base, values, deviations), refit=refit)
 
 
 def write_numbers(found: Diagnosis, extended: Machine, values: Numbers, deviations: Numbers) -> Diagnosis:

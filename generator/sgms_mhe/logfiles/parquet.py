@@ -93,9 +93,8 @@ def _read_episodes(path: Path, table: Table, info: Path) -> Table:
     table_of_all = replace(table, form="LeRobot data set", columns=columns, read=read_named)
     if not {EPISODE, CLOCK} <= names.keys():
         return table_of_all
-    own = table.read([EPISODE, CLOCK])
-    time = own[CLOCK]
-    begins = np.flatnonzero(np.diff(own[EPISODE])) + 1
+    number, time = (table.read([name])[name] for name in (EPISODE, CLOCK))
+    begins = np.flatnonzero(np.diff(number)) + 1
     if not len(begins):
         return table_of_all
     step = float(np.median(np.diff(time)))

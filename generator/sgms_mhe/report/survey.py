@@ -65,7 +65,7 @@ def _page(columns: Mapping[str, Any], style: str, name: str, about: Sequence[tup
         for c in columns.get("columns", ())
     ]
     return {
-        "machine": "first look",
+        "machine": dict(about).get("Machine file", "first look").partition(",")[0],
         "description": "",
         "source": columns["file"],
         "badge": {"style": style, "sign": SIGNS[style], "name": name},
