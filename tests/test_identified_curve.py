@@ -231,3 +231,5 @@ def test_a_number_that_no_used_row_shows_is_unknown_and_leaves_the_others_theirs
     assert np.isfinite(cov).all()
     assert found["stiffness_1"].relative > 1e6
     assert found["coulomb"].relative < 0.1
+    unknown = quantities(final.fit, np.full_like(cov, np.nan))
+    assert all(np.isnan(number.std) for number in unknown.values()), "a variance that is no number is no certainty"

@@ -254,7 +254,7 @@ def _break_away_of_fit(final: FinalFit, fit: Fit, cov: Array, stated: float) -> 
         moved = fit.theta.copy()
         moved[i] += STEP * max(1.0, abs(moved[i]))
         gradient[i] = (distance_at(moved) - here) / (moved[i] - fit.theta[i])
-    return RefutedNumber(BREAK_AWAY, stated, here, math.sqrt(max(0.0, float(gradient @ cov @ gradient))))
+    return RefutedNumber(BREAK_AWAY, stated, here, math.sqrt(max(float(gradient @ cov @ gradient), 0.0)))
 
 
 def refute_by_causes(causes: Sequence[Cause]) -> tuple[RefutedNumber, ...]:

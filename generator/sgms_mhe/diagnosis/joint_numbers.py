@@ -139,7 +139,7 @@ def adopt_numbers(
             continue
         if joint.free[i] and _is_changed(found.machine, column):
             values.setdefault(column.group, {})[column.name] = column.si(float(theta[i]))
-            std = math.sqrt(max(0.0, float(covariance[i, i]))) * abs(column.scale)
+            std = math.sqrt(max(float(covariance[i, i]), 0.0)) * abs(column.scale)
             std = math.nan if stopped[i] else std
             deviations.setdefault(column.group, {})[column.name] = std
     differences = tuple(

@@ -176,7 +176,7 @@ def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
                     for step in np.diag(1e-3 * steps)
                 ]
             )
-            std = math.sqrt(max(0.0, float(slope @ cov @ slope)))
+            std = math.sqrt(max(float(slope @ cov @ slope), 0.0))
             parameter = definition.parameter(key)
             limits = (-math.pi, math.pi) if parameter.is_angle else (parameter.lower, parameter.upper)
             number = _number(f"{term.name}.{key}", NumberEstimate(float(value), std), *limits)

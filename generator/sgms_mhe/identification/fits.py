@@ -447,7 +447,7 @@ def quantities(fit: AxisFit, cov: Array) -> dict[str, NumberEstimate]:
     found: dict[str, NumberEstimate] = {}
 
     def add(name: str, value: float, gradient: Array) -> None:
-        found[name] = NumberEstimate(value, math.sqrt(max(0.0, float(gradient @ cov @ gradient))))
+        found[name] = NumberEstimate(value, math.sqrt(max(float(gradient @ cov @ gradient), 0.0)))  # NaN stays
 
     total = np.zeros(p)
     total[count : 2 * count] = 1.0
