@@ -197,7 +197,8 @@ def state_numbers(
         fit = _fit_without(view, fit, SAMPLING)
         cov = covariance(view, fit)
     wide = quantities(fit, cov)
-    mass = _mass(view, fit, wide["mass"])
+    meshes = _mesh_covariance(view, fit)
+    mass = _mass(view, fit, wide["mass"], meshes)
     dropped = _find_unseen(fit, cov)
     if wanted.mass and (mass is None or not contradicts_mass(view.rows.machine.plant.moved, mass)):
         dropped.add("mass")  # the one that was given is written, whatever the fit would have
@@ -212,10 +213,10 @@ def state_numbers(
     if dropped:
         free, cov_free = fit, cov
         fit = _fit_without(view, fit, dropped, 0 if is_plain else FINAL_ITERATIONS)
-        cov = covariance(view, fit)
+        cov, meshes = covariance(view, fit), _mesh_covariance(view, fit)
         if mass is None and wanted.mass and view.rows.inertia > 0.0:
             cov, beside = _widen_beside_mass(free, cov_free, fit, cov)
-    cov = cov + _rival_covariance(view, fit, law_decided=law_decided)
+    cov = cov + (meshes if law_decided else meshes + _law_covariance(view, fit))
     if noise_share(view, fit) > MASS_NOISE:
         mass = None
     numbers = add_spread(view, fit, quantities(fit, cov))
@@ -228,28 +229,33 @@ def state_numbers(
     return FinalIdentification(fit, cov, numbers, mass, left, stated, view, rivals, beside)
 
 
-def _rival_covariance(view: RecordView, fit: AxisFit, *, law_decided: bool) -> Array:
-    """Return the squares of what other forms of the same friction make of the numbers, if they leave no more unseen.
+def _mesh_covariance(view: RecordView, fit: AxisFit) -> Array:
+    """Return the square of what a level that grows at all places at once, as a gear of several meshes has it, makes."""
+    meshes = fit
+    for _ in range(RENEWALS if any(map(is_level, fit.terms)) else 0):
+        meshes = fit_axis(view, spread_level_terms(view.rows, meshes, fit.terms), fit.shape, iterations=0)
+    return _square_change(view, fit, meshes)
 
-    The other law, where the records do not tell the laws apart; a level that grows at all places at once. What a form
-    that leaves clearly less still leaves beyond noise may move numbers as far as what it explains: per force alike.
+
+def _law_covariance(view: RecordView, fit: AxisFit) -> Array:
+    """Return the square of what the other law makes of the numbers, where the records do not tell the laws apart."""
+    law: Law = "sgms" if fit.shape.law == "switching" else "switching"
+    other = fit_axis(view, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS)
+    return _square_change(view, fit, other)
+
+
+def _square_change(view: RecordView, fit: AxisFit, rival: AxisFit) -> Array:
+    """Return the square of what a rival form of the same friction makes of the numbers (p, p); 0: it is worse unseen.
+
+    What a form that leaves clearly less still leaves beyond noise may move numbers as far as what it explains: per
+    force alike.
     """
-    rivals, meshes = [], fit
-    if any(map(is_level, fit.terms)):
-        for _ in range(RENEWALS):
-            meshes = fit_axis(view, spread_level_terms(view.rows, meshes, fit.terms), fit.shape, iterations=0)
-        rivals.append(meshes)
-    if not law_decided:
-        law: Law = "sgms" if fit.shape.law == "switching" else "switching"
-        rivals.append(fit_axis(view, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS))
-    own = coordinates(fit, fit.terms)
-    total = np.zeros((len(own), len(own)))
-    for other in rivals:
-        if not is_better(fit, other):
-            gain = other.gain_over(fit) if is_better(other, fit) else math.inf
-            change = (coordinates(other, fit.terms) - own) * max(1.0, measure_wrong(view, fit) / gain)
-            total += np.outer(change, change)
-    return total
+    change = np.zeros_like(own := coordinates(fit, fit.terms))
+    if not is_better(fit, rival):
+        change = coordinates(rival, fit.terms) - own
+        if is_better(rival, fit):
+            change *= max(1.0, measure_wrong(view, fit) / rival.gain_over(fit))
+    return np.outer(change, change)
 
 
 def _fit_finely(views: Views, fit: AxisFit, law: Law) -> tuple[Views, AxisFit]:
@@ -418,12 +424,12 @@ def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
     return fit
 
 
-def _mass(view: RecordView, fit: AxisFit, extra: NumberEstimate) -> NumberEstimate | None:
-    """The mass, as sure as a fit and its rivals have it; None where the fit does not show it."""
+def _mass(view: RecordView, fit: AxisFit, extra: NumberEstimate, rival: Array) -> NumberEstimate | None:
+    """The mass, as sure as a fit and its rival, by its covariance, have it; None where the fit does not show it."""
     total = view.rows.machine.plant.moved + extra.value
     if total <= 0.0 or extra.std > MASS_SEEN * total:
         return None
-    place, rival = fit.place("mass").start, _rival_covariance(view, fit, law_decided=True)
+    place = fit.place("mass").start
     return NumberEstimate(total, math.hypot(extra.std, MASS_SURE * total, math.sqrt(rival[place, place])))
 
 
