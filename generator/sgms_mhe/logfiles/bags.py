@@ -47,9 +47,7 @@ def read_bag(path: Path) -> Table:
                     for group, member, _ in numbers:
                         columns[f"{group}.{member}"] = f"{group}.stamp", units.get(member, ""), connection.topic
             except (stores.TypesysError, KeyError):
-                unread.append(
-                    f"left out, its messages are of an unknown type: {connection.topic} ({connection.msgtype})"
-                )
+                unread.append(f"{connection.topic} is left out, its messages of an unknown type: {connection.msgtype}")
     clocks = {name: clock for name, (clock, _, _) in columns.items()}
     columns = {clock: (clock, "s", topic) for clock, _, topic in columns.values()} | columns
 

@@ -28,7 +28,7 @@ _MEASURED: Final = (
     "linear|angular|torqueproducing|q?axis|achse|joint|load|encoder|g[n1-3]xist"
 )
 _WANTED: Final = re.compile(
-    r"(?:^|[\s_.\-/:])(?:set|soll|cmd|command|ref|reference|demand|target|desired|err|error|following|fehler|schlepp|action)",
+    r"(?:^|[\s_.\-/:])(?:set|soll|cmd|command|ref|reference|demand|target|desired|err|error|following|fehler|schlepp|action(?![^\W\d_]))",
     re.IGNORECASE,
 )
 _PATTERNS: Final = {

@@ -13,7 +13,7 @@ from sgms_mhe.support.arrays import AnyArray, Array, Index
 from sgms_mhe.support.libraries import optional_library
 
 INFO: Final = Path("meta/info.json")
-"""What a LeRobot data set says of itself, below its folder."""
+"""File that describes a LeRobot data set, below its folder."""
 EPISODE: Final = "episode_index"
 CLOCK: Final = "timestamp"
 PAUSE_S: Final = 1.0
@@ -50,11 +50,12 @@ def _read(path: Path, form: str, schema: Any, read_columns: Callable[[list[str]]
     where: dict[str, tuple[str, int | None]] = {}
     with refuse_damage(path, damaged):
         for entry in schema:
-            if arrow.types.is_list(entry.type) or arrow.types.is_fixed_size_list(entry.type):
-                first = read_columns([entry.name]).column(entry.name).drop_null()[:1].to_pylist()
-                where |= {f"{entry.name}[{k}]": (entry.name, k) for k in range(len(first[0]) if first else 0)}
-            else:
-                where[entry.name] = entry.name, None
+            name, size = entry.name, None
+            if arrow.types.is_fixed_size_list(entry.type):
+                size = entry.type.list_size
+            elif arrow.types.is_list(entry.type):  # as long as the first one
+                size = len(next(iter(read_columns([name]).column(name).drop_null()[:1].to_pylist()), ()))
+            where |= {name: (name, None)} if size is None else {f"{name}[{k}]": (name, k) for k in range(size)}
     stamped = frozenset(entry.name for entry in schema if arrow.types.is_timestamp(entry.type))
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
@@ -86,14 +87,14 @@ def _read_episodes(path: Path, table: Table, info: Path) -> Table:
     names = {named.get(column.name, column.name): column.name for column in table.columns}
     columns = tuple(Column(name, name, "s" if name == CLOCK else "") for name in names)
 
-    def read_named(wanted: Sequence[str]) -> Mapping[str, AnyArray]:
+    def read_by_name(wanted: Sequence[str]) -> Mapping[str, AnyArray]:
         found = table.read([names[name] for name in wanted])
         return {name: found[names[name]] for name in wanted}
 
-    table_of_all = replace(table, form="LeRobot data set", columns=columns, read=read_named)
+    table_of_all = replace(table, form="LeRobot data set", columns=columns, read=read_by_name)
     if not {EPISODE, CLOCK} <= names.keys():
         return table_of_all
-    number, time = (table.read([name])[name] for name in (EPISODE, CLOCK))
+    number, time = table.read([EPISODE, CLOCK]).values()
     begins = np.flatnonzero(np.diff(number)) + 1
     if not len(begins):
         return table_of_all
@@ -106,7 +107,7 @@ def _read_episodes(path: Path, table: Table, info: Path) -> Table:
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
         spread = {name: np.full(len(clock), np.nan) for name in names}
-        for name, values in read_named(names).items():
+        for name, values in read_by_name(names).items():
             spread[name][place] = values
         return spread | ({CLOCK: clock} if CLOCK in names else {})
 
