@@ -1,6 +1,6 @@
 """Table [drive]: what a commanded axis makes of its command, where no force was recorded."""
 
-from typing import Any, Final, Literal, Self
+from typing import Any, ClassVar, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -21,6 +21,9 @@ class Drive(MachineTable):
     resistance, k: torque_constant. The goal goes to its place at speed_limit. A drive that is not enabled makes no
     force.
     """
+
+    STEEP: ClassVar[float] = 10.0
+    """Slope of the least share at the goal, where a step would have the loop chatter."""
 
     kind: Literal["force", "voltage", "position_loop"] = text("command", "force, voltage or position_loop", "force")
     torque_constant: float | None = _number("torque over current, at the axis", "N m/A, N/A", 1e6)

@@ -10,9 +10,6 @@ from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 
-STEEP = 10.0
-"""Slope of the least share at the goal, where a step would have the loop chatter."""
-
 
 def command_of(log: Log, machine: Machine) -> Array | None:
     """Return the command (n) that a machine's drive takes, [m] or [V], held where it is missing; None: the force is it.
@@ -58,7 +55,7 @@ def find_force(log: Log, machine: Machine) -> Log:
             for i in range(1, len(acting)):
                 acting[i] = acting[i - 1] + np.clip(acting[i] - acting[i - 1], -most, most)
         share = (drive.gain or 0.0) * (drive.gain_unit or 0.0) * (acting - position)
-        acting = (drive.supply or 0.0) * (share + np.clip(STEEP * share, -drive.start, drive.start))
+        acting = (drive.supply or 0.0) * (share + np.clip(drive.STEEP * share, -drive.start, drive.start))
     most = np.inf if drive.clamp is None else drive.clamp * (drive.supply or 0.0)
     known, velocity = np.flatnonzero(np.isfinite(position)), np.zeros(len(log))
     steps = np.diff(known, prepend=known[:1])
