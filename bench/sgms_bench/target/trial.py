@@ -299,11 +299,10 @@ def compare_with_host(trial: TargetTrial, log: Log, *, package: Package | None =
     estimator = CompiledEstimator(trial.machine, package)
     host = estimator.estimate_log(log, mode="tasks")
     same = identical_updates(trial.estimates, host)
-    prior = estimator.model.prior * np.array([abs(p.scale) for p in estimator.model.parameters])
     return HostComparison(
         identical=bool(same.all()),
         identical_updates=int(np.count_nonzero(same)),
-        comparison=compare_estimates(trial.machine, trial.estimates, host, prior),
+        comparison=compare_estimates(trial.machine, trial.estimates, host, estimator.model.prior_std),
     )
 
 

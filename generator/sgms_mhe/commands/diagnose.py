@@ -107,8 +107,7 @@ def _say_implausible(error: ImplausibleError, machine: Machine, log: Log, folder
     from sgms_mhe.report import write_unread_page
 
     content = write_refusal(str(error), machine, folder)
-    about = [("Machine file", f"{machine.name}, sha256 {machine.digest[:16]}")]
-    report = write_unread_page(folder / "report.html", str(error), log, {"file": log.source}, about)
+    report = write_unread_page(folder / "report.html", str(error), log, {"file": log.source}, machine)
     common.show(common.json_text(content) if as_json else f"unexplained: {error}\nreport: {report}")
 
 

@@ -154,10 +154,8 @@ def compare_signals(machine: Machine, signals: Signals, *, progress: Progress | 
     estimator = CompiledEstimator(machine)
     generated = estimator.estimate(signals, progress=progress)  # reports too, so that it can be interrupted
     reference = estimate_reference(machine, signals, progress=progress)
-    parameters = estimator.model.parameters
-    prior_std = estimator.model.prior * np.array([abs(parameter.scale) for parameter in parameters])
-    flags = undecided_flags(machine, signals, reference, parameters)
-    return compare_estimates(machine, generated, reference, prior_std, flags)
+    flags = undecided_flags(machine, signals, reference, estimator.model.parameters)
+    return compare_estimates(machine, generated, reference, estimator.model.prior_std, flags)
 
 
 def undecided_flags(

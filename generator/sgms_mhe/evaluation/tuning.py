@@ -260,9 +260,9 @@ class _WeightSearch:
         pushed = counted_innovations(estimates, self._counted)
         updates, sampling, plant = _updates(self._machine), self._machine.sampling, self._machine.plant
         moved = integrate_innovations(*pushed, updates)
-        losses = {"force": innovation_loss(*pushed), "motion": innovation_loss(*moved)}
-        both = losses["force"][updates - 1 :] + losses["motion"]
-        loss = losses.get(self._objective, both)
+        by_force, by_motion = innovation_loss(*pushed), innovation_loss(*moved)
+        both = by_force[updates - 1 :] + by_motion
+        loss = {"force": by_force, "motion": by_motion, "both": both}[self._objective]
         force, motion = (float(np.sqrt(np.mean(error**2))) for error, _ in (pushed, moved))
         ratio = float(np.mean(pushed[0] ** 2 / pushed[1]))
         return Trial(dict(changes), loss, ratio, force, motion / sampling.update_rate**2 / plant.moved)

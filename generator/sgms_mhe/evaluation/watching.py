@@ -124,7 +124,7 @@ class RunSummary:
         self.interval_s = machine.sampling.samples_per_update * machine.sampling.step
         self.names = tuple(p.column for p in model.parameters)
         self.nominal = np.array([p.nominal for p in model.parameters])
-        self._prior = model.prior * np.abs([p.scale for p in model.parameters])
+        self._prior = model.prior_std
         self.updates = self.measured = self.samples = self.missing = self.faults = 0
         self.latest: Estimates | None = None
         self.first_s = np.nan

@@ -371,7 +371,7 @@ def _fractions(levels: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> lis
     return [float(share) for share in shares / shares.sum()]
 
 
-def state_explored(
+def state_findings(
     explored: Explored, logs: Sequence[Log], wanted: Wanted
 ) -> tuple[tuple[Number, ...], list[Statement], float]:
     """Return the numbers of a file, the other statements on the records, and the noise of a row [N].
@@ -417,7 +417,7 @@ def describe(
     """
     records, views, found, final = explored.records, explored.views, explored.found, explored.final
     fit, units = final.fit, records.machine.plant.units
-    numbers, others, floor = state_explored(explored, logs, wanted)
+    numbers, others, floor = state_findings(explored, logs, wanted)
     if not math.isfinite(numbers[0].value):
         raise InputError(
             name_all(records.names),

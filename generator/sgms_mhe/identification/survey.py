@@ -16,7 +16,7 @@ from sgms_mhe.identification.identify import (
     is_excited,
     measure_motion,
     prepare_records,
-    state_explored,
+    state_findings,
 )
 from sgms_mhe.identification.plain import fit_plain
 from sgms_mhe.identification.records import sort_logs
@@ -96,7 +96,7 @@ def survey(logs: Sequence[Log], wanted: Wanted, report: Progress) -> Survey:
         explored = _fit_start(begin(records, wanted.per_decade, report), known)
     except InputError as error:
         raise error.add_notes(records.warnings) from None
-    numbers, others, floor = state_explored(explored, ordered, wanted)
+    numbers, others, floor = state_findings(explored, ordered, wanted)
     shown = tuple(n for n in numbers if n.name.rstrip("_0123456789") not in ELASTIC)
     return Survey(explored, wanted, ordered, shown, (*_state_log(explored, ordered, floor), *others))
 

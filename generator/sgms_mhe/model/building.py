@@ -99,6 +99,11 @@ class Model:
         return np.array([self.machine.estimator.prior_of(p.name, p.scale) for p in self.parameters])
 
     @property
+    def prior_std(self) -> NDArray[np.float64]:
+        """Standard deviation of every parameter before any data [SI] (n_p)."""
+        return self.prior * np.abs([p.scale for p in self.parameters])
+
+    @property
     def drift(self) -> NDArray[np.float64]:
         """Standard deviation of the random walk of theta per update (n_p), in proportion to the prior."""
         noise = self.machine.estimator.noise

@@ -143,7 +143,7 @@ class FleetCourse:
         return bool(self.trend is not None or self.changes or any(point.left for point in self.points))
 
     @property
-    def judged(self) -> bool:
+    def is_judged(self) -> bool:
         """Return True if a log is held against a band."""
         return any(point.band is not None for point in self.points)
 
@@ -172,7 +172,7 @@ def fleet_content(verb: str, table: str, logs: Sequence[FleetLog], courses: Sequ
     statements = state_fleet(logs, courses)
     doubts = describe_doubts(statements)
     axes = {log.axis for log in logs if not log.failure}
-    new = len(axes - {course.axis for course in courses if course.judged})
+    new = len(axes - {course.axis for course in courses if course.is_judged})
     unjudged = f"{new} of {len(axes)} axes not judged yet" if new else ""
     return {
         "machine": f"fleet {verb}",

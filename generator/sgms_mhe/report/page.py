@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from sgms_mhe.diagnosis import Diagnosis, write_extended
 from sgms_mhe.identification.survey import Survey
-from sgms_mhe.machine import LINEAR
+from sgms_mhe.machine import LINEAR, Machine
 from sgms_mhe.report import content
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.fleet import FleetCourse, FleetLog, fleet_content
@@ -117,7 +117,7 @@ def write_survey_page(path: Path, found: Survey, columns: Mapping[str, Any], com
 
 
 def write_unread_page(
-    path: Path, reason: str, log: Log | None, columns: Mapping[str, Any], about: Sequence[tuple[str, str]] = ()
+    path: Path, reason: str, log: Log | None, columns: Mapping[str, Any], machine: Machine | None = None
 ) -> Path:
     """Write the page of a log to which nothing was fitted; return its path.
 
@@ -126,11 +126,11 @@ def write_unread_page(
         reason: in a sentence.
         log: as it was read; None: it was not.
         columns: of the log, as `inspect` has them; or its `file` alone.
-        about: what the page is of, by names.
+        machine: whose file refuses the log; None: there is none yet.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with use_units(LINEAR if log is None else log.units):
-        page = unread_content(reason, columns, about, has_log=log is not None)
+        page = unread_content(reason, columns, machine, has_log=log is not None)
         return _write_page(path, "survey.html.jinja", page, {} if log is None else log_plots(log))
 
 

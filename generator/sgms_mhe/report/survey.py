@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from sgms_mhe import __version__
 from sgms_mhe.identification.survey import MAIN, Survey
+from sgms_mhe.machine import Machine
 from sgms_mhe.report.pieces import Row, tile
 from sgms_mhe.report.units import SPACE, axis_units, plain, reading, stated
 from sgms_mhe.report.words import SIGNS, capital, join_words, sentence, title
@@ -14,13 +15,17 @@ from sgms_mhe.support.statements import Rule, Statement, list_open
 PLACES: Final = {"mass": 1, "inertia": 1, "friction": 3, "damping": 4}
 """Of their tiles."""
 
+Columns = Mapping[str, Any]
+"""Columns of a log, as `inspect` has them."""
+About = Sequence[tuple[str, str]]
+"""Subjects of a page, by names."""
 ABOUT: Final = (
     ("Numbers", "least squares along the measured motion, intervals of two standard deviations"),
     ("Next", "identify searches for the law of friction, diagnose for causes of what is left"),
 )
 
 
-def survey_content(found: Survey, columns: Mapping[str, Any], command: str) -> dict[str, Any]:
+def survey_content(found: Survey, columns: Columns, command: str) -> dict[str, Any]:
     """Return the text of the page; `columns`: of the log as it was read; `command`: plans the next motion."""
     units, questions = found.units, list_open(found.statements)
     unsure = _name_unsure(found.statements)
@@ -40,15 +45,14 @@ def survey_content(found: Survey, columns: Mapping[str, Any], command: str) -> d
     }
 
 
-def unread_content(
-    reason: str, columns: Mapping[str, Any], about: Sequence[tuple[str, str]], *, has_log: bool
-) -> dict[str, Any]:
+def unread_content(reason: str, columns: Columns, machine: Machine | None, *, has_log: bool) -> dict[str, Any]:
     """Return the text of the page of a log to which nothing was fitted; `has_log`: its columns are drawn."""
     plots = [
         {"key": "log_force", "size": "", "aria": f"{capital(axis_units().push)} over time, as read from the log"},
         {"key": "log_position", "size": "low", "aria": "Position over time, as read from the log"},
     ]
-    return _page(columns, "failed", "no numbers", about) | {
+    about = [] if machine is None else [("Machine file", f"{machine.name}, sha256 {machine.digest[:16]}")]
+    return _page(columns, "failed", "no numbers", about, machine) | {
         "headline": "Nothing was fitted to this log.",
         "limits": {"title": "The reason, and the remedy", "choices": [], "others": [reason]},
         "tiles": [],
@@ -57,7 +61,7 @@ def unread_content(
     }
 
 
-def _page(columns: Mapping[str, Any], style: str, name: str, about: Sequence[tuple[str, str]] = ()) -> dict[str, Any]:
+def _page(columns: Columns, style: str, name: str, about: About, machine: Machine | None = None) -> dict[str, Any]:
     """Return the common part of both pages."""
     cells = [
         {"name": c["name"] or "", "from": c["from"], "unit": c["unit"] or "not stated", "why": c.get("because") or ""}
@@ -65,7 +69,7 @@ def _page(columns: Mapping[str, Any], style: str, name: str, about: Sequence[tup
         for c in columns.get("columns", ())
     ]
     return {
-        "machine": dict(about).get("Machine file", "first look").partition(",")[0],
+        "machine": "first look" if machine is None else machine.name,
         "description": "",
         "source": columns["file"],
         "badge": {"style": style, "sign": SIGNS[style], "name": name},

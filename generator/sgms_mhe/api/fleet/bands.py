@@ -25,7 +25,7 @@ from sgms_mhe.api.fleet.table import Row
 from sgms_mhe.api.fleet.work import FleetNumber, Result
 from sgms_mhe.report import Band, FleetCourse, FleetPoint, NumberChange, NumberTrend
 from sgms_mhe.report.fleet import LEAST_LIFE
-from sgms_mhe.support.arrays import Array
+from sgms_mhe.support.arrays import TINY, Array
 from sgms_mhe.support.numbers import SIGMAS
 
 LEVEL: Final = 0.99
@@ -39,7 +39,6 @@ LEAST_SIDE: Final = 2
 LEAST_OWN: Final = 3
 LEAST_FLEET: Final = 5
 DAY_S: Final = 86_400.0
-_TINY: Final = np.finfo(float).tiny
 _TO_DEVIATION: Final = 1.4826
 """Standard deviation over median absolute deviation, of a Gaussian."""
 
@@ -97,7 +96,7 @@ def _judge_life(points: Sequence[FleetPoint]) -> tuple[NumberTrend | None, tuple
     parts = np.split(values, cuts)
     losses = (loss, float(sum(np.sum((part - part.mean()) ** 2) for part in parts)))
     line, level = (  # Bayesian information criteria
-        count * math.log(max(left / count, stated**2, _TINY)) + parameters * math.log(count)
+        count * math.log(max(left / count, stated**2, TINY)) + parameters * math.log(count)
         for left, parameters in zip(losses, (2, 2 * len(cuts) + 1), strict=True)
     )
     if moves and (not cuts or line <= level):
@@ -134,7 +133,7 @@ def find_steps(values: Array, stated: float) -> list[int]:
     own = sums[end] - sums[start]
     change, share = own / size - (sums[-1] - own) / (count - size), size * (count - size) / count
     left = np.maximum(np.sum((values - values.mean()) ** 2) - share * change**2, 0.0)
-    statistic = np.abs(change) * np.sqrt(share) / np.maximum(np.maximum(np.sqrt(left / (count - 2)), stated), _TINY)
+    statistic = np.abs(change) * np.sqrt(share) / np.maximum(np.maximum(np.sqrt(left / (count - 2)), stated), TINY)
     best = int(np.argmax(statistic))
     if statistic[best] <= float(student.ppf(1.0 - 0.5 * ALARM / len(size), count - 2)):
         return []
