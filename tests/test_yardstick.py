@@ -42,4 +42,7 @@ def test_the_table_is_what_the_cores_say(problem: tuple[bytes, np.ndarray[tuple[
 def test_every_entry_has_its_files() -> None:
     for entry in ENTRIES.values():
         assert Path(FOLDER / entry.source).is_file() and Path(FOLDER / entry.exporter).exists()
-        assert "entry_tick" in (FOLDER / entry.source).read_text()
+        source = (FOLDER / entry.source).read_text()
+        headers = [FOLDER / name for name in re.findall(r'#include "(\w+\.h)"', source)]
+        unit = source + "".join(header.read_text() for header in headers if header.is_file())
+        assert re.search(r"^float entry_tick\([^;]*\)$", unit, re.MULTILINE)  # defined, not declared alone

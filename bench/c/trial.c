@@ -12,7 +12,7 @@
  * Compiled with -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_UPPER=ETEL_XY -DSGMS_MACHINE_HEADER='"etel_xy.h"' and with
  * -DSGMS_LOOPS=<counts of the calibration loops>. Exit codes: 0 done, 2 no samples, 3 results cannot be written,
  * 4 a stack was too small, 5 a call was too long for the counter; 100 and more, from the start code: a fault. */
-#include "target.h"
+#include "emulated.h"
 
 #include SGMS_MACHINE_HEADER
 
@@ -29,15 +29,7 @@ typedef struct {
     float unused;
 } sample_t;
 
-enum {
-    SAMPLES = JOIN(SGMS_MACHINE_UPPER, SAMPLES),
-    STACK_WORDS = 16384,
-    PAINT = 0x5a17ac1d,
-    NO_SAMPLES = 2,
-    NO_RESULTS = 3,
-    STACK_FULL = 4,
-    TOO_LONG = 5
-};
+enum { SAMPLES = JOIN(SGMS_MACHINE_UPPER, SAMPLES) };
 
 /* One stack per call; init and estimate are called now and then, by whoever has the time. */
 enum { INIT, SAMPLE, FEEDBACK, PREPARE, TICK, ESTIMATE, CALLS };
@@ -95,41 +87,16 @@ static uint32_t measure(int call, void (*work)(void))
 static void paint_stacks(void)
 {
     for (int call = 0; call < CALLS; call++) {
-        for (int i = 0; i < STACK_WORDS; i++) {
-            stacks[call][i] = PAINT;
-        }
+        paint_stack(stacks[call]);
     }
-}
-
-/* Bytes of a stack that were ever written. */
-static uint32_t used_stack(int call)
-{
-    int free = 0;
-    while (free < STACK_WORDS && stacks[call][free] == PAINT) {
-        free++;
-    }
-    return (uint32_t)(STACK_WORDS - free) * sizeof(uint32_t);
 }
 
 /* --- host -------------------------------------------------------------------------------------------------------- */
-
-static int open_file(const char *name, uint32_t length, int mode)
-{
-    uintptr_t arguments[3] = {(uintptr_t)name, (uintptr_t)mode, length};
-    return target_host(SYS_OPEN, arguments);
-}
 
 static void close_file(int file)
 {
     uintptr_t arguments[1] = {(uintptr_t)file};
     (void)target_host(SYS_CLOSE, arguments);
-}
-
-/* Whether all bytes were moved: the host answers with how many were not. */
-static int move(int operation, int file, void *data, uint32_t size)
-{
-    uintptr_t arguments[3] = {(uintptr_t)file, (uintptr_t)data, size};
-    return target_host(operation, arguments) == 0;
 }
 
 static int put_word(uint32_t word)
@@ -199,7 +166,7 @@ int target_main(void)
         return TOO_LONG;
     }
     for (int call = 0; call < CALLS; call++) {
-        const uint32_t used = used_stack(call);
+        const uint32_t used = used_stack(stacks[call]);
         if (used == sizeof stacks[call]) {
             return STACK_FULL;
         }

@@ -1,44 +1,9 @@
 /* An extended Kalman filter written by hand: Maxwell-slip elements, their stiffness estimated, dense matrices.
  *
- * States (8): deflections [m] and stiffness over the nominal one [1] of four elements. An element sticks or slips at
- * its share of the Coulomb level. The measurement is the force that mass and acceleration leave. 1 kHz. */
-#include "axis.h"
-#include "entry.h"
+ * An element sticks or slips at its share of the Coulomb level. The measurement is the force that mass and
+ * acceleration leave. 1 kHz. */
+#include "filter.h"
 #include "matrix.h"
-
-enum { STATES = 2 * ELEMENTS };
-
-typedef struct {
-    chain signals;
-    float x[STATES], P[STATES * STATES], travel, friction;
-    int32_t count;
-} filter_t;
-
-uint32_t entry_size(void)
-{
-    return sizeof(filter_t);
-}
-
-void entry_init(void *memory)
-{
-    filter_t *f = memory;
-    *f = (filter_t){0};
-    for (int i = 0; i < ELEMENTS; i++) {
-        const float break_away = FRACTION[i] * COULOMB / STIFFNESS[i];
-        f->x[ELEMENTS + i] = 1.0f;
-        f->P[i * (STATES + 1)] = 0.25f * break_away * break_away;
-        f->P[(ELEMENTS + i) * (STATES + 1)] = PRIOR * PRIOR;
-    }
-}
-
-static float friction(const filter_t *f)
-{
-    float sum = VISCOUS * f->signals.velocity;
-    for (int i = 0; i < ELEMENTS; i++) {
-        sum += STIFFNESS[i] * f->x[ELEMENTS + i] * f->x[i];
-    }
-    return sum;
-}
 
 static void predict(filter_t *f)
 {
@@ -74,7 +39,7 @@ static void correct(filter_t *f)
     }
     multiply(f->P, H, PH, STATES, STATES, 1, 0);
     multiply(H, PH, S, 1, STATES, 1, 0);
-    const float innovation = f->signals.force - MASS * f->signals.acceleration - friction(f);
+    const float innovation = filter_measured(f) - filter_friction(f);
     for (int i = 0; i < STATES; i++) {
         K[i] = PH[i] / (S[0] + NOISE * NOISE);
         f->x[i] += K[i] * innovation;
@@ -90,17 +55,8 @@ static void correct(filter_t *f)
     }
 }
 
-float entry_tick(void *memory, int64_t position, float force)
+static void filter_step(filter_t *f)
 {
-    filter_t *f = memory;
-    chain_update(&f->signals, position, force);
-    f->travel += f->signals.velocity * 1e-4f;
-    if (++f->count == STEPS) {
-        predict(f);
-        correct(f);
-        f->travel = 0.0f;
-        f->count = 0;
-    }
-    f->friction = friction(f);
-    return f->friction;
+    predict(f);
+    correct(f);
 }

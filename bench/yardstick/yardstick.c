@@ -3,8 +3,8 @@
  * Reads samples.bin, records of sample_t; writes results.bin, 32-bit words:
  *     size of the entry's memory, ticks of nothing, per sample: ticks and friction; high-water mark of its stack
  * Exit codes as in trial.c. */
+#include "emulated.h"
 #include "entry.h"
-#include "target.h"
 
 typedef struct {
     int64_t position; /* pm */
@@ -12,15 +12,7 @@ typedef struct {
     float unused;
 } sample_t;
 
-enum {
-    MEMORY_WORDS = 32768,
-    STACK_WORDS = 16384,
-    PAINT = 0x5a17ac1d,
-    NO_SAMPLES = 2,
-    NO_RESULTS = 3,
-    STACK_FULL = 4,
-    TOO_LONG = 5
-};
+enum { MEMORY_WORDS = 32768 };
 
 uint32_t target_loop_count;
 
@@ -38,18 +30,6 @@ static void do_tick(void)
     result.friction = entry_tick(memory, sample.position, sample.force);
 }
 
-static int open_file(const char *name, uint32_t length, int mode)
-{
-    uintptr_t arguments[3] = {(uintptr_t)name, (uintptr_t)mode, length};
-    return target_host(SYS_OPEN, arguments);
-}
-
-static int move(int operation, int file, void *data, uint32_t size)
-{
-    uintptr_t arguments[3] = {(uintptr_t)file, (uintptr_t)data, size};
-    return target_host(operation, arguments) == 0;
-}
-
 static int put_word(uint32_t word)
 {
     return move(SYS_WRITE, output, &word, sizeof word);
@@ -65,9 +45,7 @@ int target_main(void)
     if (!put_word(entry_size()) || !put_word(target_measure(target_nothing, stack + STACK_WORDS))) {
         return NO_RESULTS;
     }
-    for (int i = 0; i < STACK_WORDS; i++) {
-        stack[i] = PAINT;
-    }
+    paint_stack(stack);
     entry_init(memory);
     int count = 0;
     while (move(SYS_READ, input, &sample, sizeof sample)) {
@@ -83,9 +61,5 @@ int target_main(void)
     if (count == 0) {
         return NO_SAMPLES;
     }
-    int untouched = 0;
-    while (untouched < STACK_WORDS && stack[untouched] == PAINT) {
-        untouched++;
-    }
-    return put_word((uint32_t)(STACK_WORDS - untouched) * sizeof(uint32_t)) ? 0 : NO_RESULTS;
+    return put_word(used_stack(stack)) ? 0 : NO_RESULTS;
 }

@@ -115,7 +115,7 @@ def run_entry(name: str, core: str, samples: bytes) -> Score:
         whole.write_text("".join(f'#include "{source}"\n' for source in (*sources, FOLDER / entry.source)))
         parts: dict[str, Sequence[str | Path]] = {
             "package.o": [*options, "-ffunction-sections", "-fdata-sections", whole],
-            "yardstick.o": [*options, f"-I{runtime_dir() / 'target'}", FOLDER / "yardstick.c"],
+            "yardstick.o": [*options, f"-I{C_DIR}", f"-I{runtime_dir() / 'target'}", FOLDER / "yardstick.c"],
         }
         program = link_program(target, parts, options, folder / "yardstick.elf")
         sizes = section_sizes(target, program)
