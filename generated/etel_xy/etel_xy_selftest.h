@@ -63,8 +63,8 @@ enum {
 /* of its derivative by the one before: two small rates, one over the other */
 #define FLOW_RATIO 2e-07
 #define FLOW_NEAR 100.0 /* times these, of the short polynomial */
-#define SELFTEST_LARGEST 2.4370033697256477 /* N, friction */
-#define SELFTEST_FARTHEST 0.00018380580852470752 /* m, deflection */
+#define SELFTEST_LARGEST 2.4370034 /* N, friction */
+#define SELFTEST_FARTHEST 0.00018380581 /* m, deflection */
 #define SELFTEST_UNIT 1e-07 /* N, of the motion's friction */
 #define SELFTEST_SET_ACCELERATION 0.2 /* m/s/s, of the second run's set-points */
 #define SELFTEST_RAMP 1.0 /* of the force, per sample */

@@ -64,7 +64,7 @@ enum {
 #define FLOW_RATIO 0.001f
 #define FLOW_NEAR 1.0f /* times these, of the short polynomial */
 #define SELFTEST_LARGEST 2.436996f /* N, friction */
-#define SELFTEST_FARTHEST 0.00018380693f /* m, deflection */
+#define SELFTEST_FARTHEST 0.00018380694f /* m, deflection */
 #define SELFTEST_UNIT 1e-07f /* N, of the motion's friction */
 #define SELFTEST_SET_ACCELERATION 0.2f /* m/s/s, of the second run's set-points */
 #define SELFTEST_RAMP 1.0f /* of the force, per sample */

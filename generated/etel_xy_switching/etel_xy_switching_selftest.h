@@ -58,8 +58,8 @@ enum {
 #define SELFTEST_COARSE 2e-06 /* of deviations and readings */
 #define SELFTEST_AHEAD 0.001 /* of the force, which is carried on by other steps */
 #define SELFTEST_UNSET 0.001 /* of that without a set-point */
-#define SELFTEST_LARGEST 2.407754006938418 /* N, friction */
-#define SELFTEST_FARTHEST 0.00018434276977167616 /* m, deflection */
+#define SELFTEST_LARGEST 2.407754 /* N, friction */
+#define SELFTEST_FARTHEST 0.00018434277 /* m, deflection */
 #define SELFTEST_UNIT 1e-07 /* N, of the motion's friction */
 #define SELFTEST_SET_ACCELERATION 0.2 /* m/s/s, of the second run's set-points */
 #define SELFTEST_RAMP 1.0 /* of the force, per sample */

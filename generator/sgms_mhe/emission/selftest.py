@@ -133,10 +133,11 @@ def selftest_vectors(model: Model) -> Vectors:
         _force_ahead(model, *of, signals, log.position_m, later, lags, ahead if of is second and lags else None)
         for of, later, lags in ((first, 0, True), (second, 1, True), (second, 1, False))
     )
+    largest, farthest = _round_values(np.array([np.abs(each).max() for each in (first[0].friction_N, first[0].z_m)]))
     return Vectors(
         motion=motion,
-        largest=float(np.abs(first[0].friction_N).max()),
-        farthest=float(np.abs(first[0].z_m).max()),
+        largest=largest,
+        farthest=farthest,
         span=_least_updates(model) - 1,
         velocity=_velocity_beyond_limit(model),
         set_velocity=ahead[0],
