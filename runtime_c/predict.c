@@ -1,5 +1,9 @@
 #include "predict.h"
 
+#ifdef SGMS_NUMBERS /* of the model at hand, which others have the code in common with; each thread runs one */
+static __thread double sgms_numbers[SGMS_NUMBERS];
+#endif
+
 #include SGMS_INTEGRATOR_HEADER
 
 #define SGMS_JOIN2(a, b) a##_##b
@@ -85,7 +89,8 @@ int sgms_predict(
     double *x,
     double *d_x,
     double *force,
-    double *d_force)
+    double *d_force,
+    const double *numbers)
 {
     SGMS_JOIN(SGMS_MACHINE, parameters) at;
     sgms_real start[STATES], d_start[STATES * PARAMETERS], sensitivity[STATES * PARAMETERS], blocks[BLOCKS_SIZE];
@@ -93,6 +98,13 @@ int sgms_predict(
     if (MERGED > 1 && (force || (samples - 1) % MERGED != 0)) { /* the state is known at the ends of steps alone */
         return -1;
     }
+#ifdef SGMS_NUMBERS
+    for (int i = 0; i < SGMS_NUMBERS; i++) {
+        sgms_numbers[i] = numbers[i];
+    }
+#else
+    (void)numbers;
+#endif
     for (int i = 0; i < STATES; i++) {
         start[i] = (sgms_real)x[i];
     }

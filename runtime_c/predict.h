@@ -10,7 +10,7 @@
  * first sample, on return at the last one; d_x: its derivatives in theta (states x parameters), likewise; zeros to
  * start. A long record can be run in pieces, the first row of each being the last row of the piece before. A package
  * that merges samples knows the state at the ends of its steps alone: there `force` must be NULL and samples - 1 a
- * number of whole steps, or -1 is returned, else 0. */
+ * number of whole steps, or -1 is returned, else 0. numbers: SGMS_NUMBERS of them, where the headers name them so. */
 int sgms_predict(
     long samples,
     long every,
@@ -19,6 +19,7 @@ int sgms_predict(
     double *x,
     double *d_x,
     double *force,
-    double *d_force);
+    double *d_force,
+    const double *numbers);
 
 #endif

@@ -52,7 +52,7 @@ class Kernel:
         d_x = np.zeros((n_x, n_p)) if d_x is None else np.array(d_x, dtype=float, order="C")
         force, d_force = np.empty(len(w)), np.empty((len(w), n_p))
         done = self.library.sgms_predict(
-            ctypes.c_long(len(w)), ctypes.c_long(1), *(pointer(a) for a in (w, theta, x, d_x, force, d_force))
+            ctypes.c_long(len(w)), ctypes.c_long(1), *(pointer(a) for a in (w, theta, x, d_x, force, d_force)), None
         )
         assert done == 0
         return x, d_x, force, d_force

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from record_cases import simulate_log
-from sgms_mhe.configuration import override_machine
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.alignment import decimate
 from sgms_mhe.diagnosis.fits import Subject
@@ -234,11 +234,7 @@ def test_wide_registers_only_where_host_and_compiler_have_them(tmp_path: Path, m
     assert toolchain.wide_flags() == ()
 
 
-def test_wide_registers_change_no_bit(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = emit_package(machine, selftest=False)
-    wide = CompiledModel(machine, package)
-    monkeypatch.setattr("sgms_mhe.host.compiled.wide_flags", lambda: ())
-    plain = CompiledModel(machine, package)
+def assert_same_bits(machine: Machine, one: CompiledModel, other: CompiledModel) -> None:
     step, n = machine.sampling.step, 20_000
     time = step * np.arange(n)
     position, pulse = 0.02, 2.0 * np.pi * 5.0
@@ -251,15 +247,38 @@ def test_wide_registers_change_no_bit(machine: Machine, monkeypatch: pytest.Monk
             time,
         )
     )
-    n_x, n_p = wide.model.n_x, wide.model.n_p
+    n_x, n_p = one.model.n_x, one.model.n_p
     results = []
-    for code in (wide, plain):
+    for code in (one, other):
         state, sensitivity, force, slopes = np.zeros(n_x), np.zeros((n_x, n_p)), np.empty(n), np.empty((n, n_p))
         code.advance(w, np.full(n_p, 1.1), state, sensitivity, force, slopes)
         results.append((state, sensitivity, force, slopes))
     assert float(np.ptp(results[0][2])) > machine.friction.coulomb
-    for one, other in zip(*results, strict=True):
-        np.testing.assert_array_equal(one, other)
+    for first, second in zip(*results, strict=True):
+        np.testing.assert_array_equal(first, second)
+
+
+def test_wide_registers_change_no_bit(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = emit_package(machine, selftest=False)
+    wide = CompiledModel(machine, package)
+    monkeypatch.setattr("sgms_mhe.host.compiled.wide_flags", lambda: ())
+    assert_same_bits(machine, wide, CompiledModel(machine, package))
+
+
+@pytest.mark.parametrize("settings", ["etel_xy", "etel_xy_switching", "frictional_lag"])
+def test_machines_of_one_structure_share_code_that_changes_no_bit(settings: str, machine: Machine) -> None:
+    if settings == "frictional_lag":
+        machine = override_machine(machine, {"effects": [{"name": "frictional_lag", "time_constant_s": 0.013}]})
+    elif settings != "etel_xy":
+        machine = load_machine(settings)
+    friction = machine.friction
+    numbers = {"coulomb": 1.137 * friction.coulomb, "stiffness": [1.137 * k for k in friction.stiffness]}
+    other = override_machine(machine, {"friction": numbers, "plant": {"mass": 1.23 * machine.plant.mass}})
+    shared = [CompiledModel(each) for each in (machine, other)]
+    assert len({code.library for code in shared}) == 1
+    for each, code in zip((machine, other), shared, strict=True):  # in turns, so that each brings its own numbers
+        assert_same_bits(each, code, CompiledModel(each, emit_package(each, selftest=False)))
+    assert_same_bits(machine, shared[0], CompiledModel(machine, emit_package(machine, selftest=False)))
 
 
 # --- a whole diagnosis ------------------------------------------------------------------------------------------

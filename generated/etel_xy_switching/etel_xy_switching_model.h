@@ -50,9 +50,8 @@ static inline void parameter_terms(etel_xy_switching_parameters *p)
 static inline sgms_real output_force(const model_point *at, sgms_real *c, sgms_real *d)
 {
     sgms_real y;
-    const sgms_real a1 = 0.268 * at->x[0] + 0.224 * at->x[1] + 0.188 * at->x[2] + 3.32 * at->x[3] +
-        20.0 * at->w[W_VELOCITY];
-    y = a1;
+    const sgms_real a1 = 0.268 * at->x[0] + 0.224 * at->x[1] + 0.188 * at->x[2] + 3.32 * at->x[3];
+    y = a1 + 20.0 * at->w[W_VELOCITY];
     c[0] = 0.268;
     c[1] = 0.224;
     c[2] = 0.188;
@@ -78,9 +77,8 @@ static inline sgms_real output_apart(const sgms_real *w)
 static inline sgms_real feed_forward_force(const model_point *at)
 {
     sgms_real y;
-    const sgms_real a1 = 0.268 * at->x[0] + 0.224 * at->x[1] + 0.188 * at->x[2] + 3.32 * at->x[3] +
-        20.0 * at->w[W_VELOCITY];
-    y = a1;
+    const sgms_real a1 = 0.268 * at->x[0] + 0.224 * at->x[1] + 0.188 * at->x[2] + 3.32 * at->x[3];
+    y = a1 + 20.0 * at->w[W_VELOCITY];
     return y;
 }
 

@@ -1,8 +1,9 @@
 """Expressions to C: single-assignment constants with names a reader can follow, as bodies of functions."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,8 @@ from sgms_mhe.model import Model
 _ATOM, _UNARY, _PRODUCT, _SUM = range(4)
 _INFIX = {"add": ("+", _SUM), "sub": ("-", _SUM), "mul": ("*", _PRODUCT), "div": ("/", _PRODUCT)}
 _LONGEST_INLINE = 72
+REAL: Final = re.compile(r"(?<![\w.])(?:\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)f?(?![\w.])")
+"""A number as `CPrinter` prints it."""
 
 
 class CPrinter:
@@ -80,7 +83,7 @@ class CPrinter:
                 continue
             expression, level = self._expression(node, text)
             shared = uses[node] > 1 and node.op != "const" and not (node.op == "neg" and node.args[0].op != "const")
-            if node in hints or shared or (len(expression) > _LONGEST_INLINE and node.args):
+            if node in hints or shared or (node.args and self._is_long(expression)):
                 name = self._fresh(hints.get(node, "a"), taken, always_number=node not in hints)
                 lines.append(self.declaration(name, expression))
                 text[node] = (name, _ATOM)
@@ -88,6 +91,11 @@ class CPrinter:
                 text[node] = (expression, level)
         lines += [f"{target} = {text[node][0]};" for target, node in outputs]
         return lines
+
+    @staticmethod
+    def _is_long(expression: str) -> bool:
+        """Return True if a reader would want a name for it; digits have no say: other numbers, the same statements."""
+        return len(REAL.sub("0.0000", expression)) > _LONGEST_INLINE
 
     def declaration(self, name: str, expression: str) -> str:
         """Return the statement that gives an intermediate value its name."""

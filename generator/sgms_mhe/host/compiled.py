@@ -3,7 +3,7 @@
 import ctypes
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from sgms_mhe.emission.package import Package, write_package
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
+from sgms_mhe.host.shared_code import share_numbers
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
@@ -62,15 +63,26 @@ class CompiledModel:
 
     Args:
         machine: the machine file.
-        package: its package, if it was generated already.
+        package: its package, if it was generated already; it runs as it was emitted.
+
+    Attributes:
+        library: the compiled code, which models of one structure have in common.
     """
 
     def __init__(self, machine: Machine, package: Package | None = None) -> None:
         self.machine = machine
         with SYMBOLIC:
             self.model = build_model(machine)
+            shared = package is None and machine.code.precision == "double"
             package = package or cached_package(machine, self.model)
-        self._library = load_library(_compile(package, (*DEFAULT_FLAGS, *wide_flags()), "predict.c"))
+        flags = (*DEFAULT_FLAGS, *wide_flags())
+        self._numbers = np.empty(0)
+        if shared:
+            files, self._numbers = share_numbers(package.files, machine.name)
+            package = replace(package, files=files)
+            flags += (f"-DSGMS_NUMBERS={len(self._numbers)}",)
+        self.library = _compile(package, flags, "predict.c")
+        self._predict = load_library(self.library).sgms_predict
 
     def predict(self, signals: Signals, theta: Array | None = None) -> Prediction:
         """Run the model along the signals from relaxed elements on.
@@ -112,10 +124,10 @@ class CompiledModel:
         Raises:
             ValueError: no whole number of integration steps.
         """
-        arrays = (w, theta, state, sensitivity, force, slopes)
+        arrays = (w, theta, state, sensitivity, force, slopes, self._numbers)
         pointers = [None if array is None else ctypes.c_void_p(array.ctypes.data) for array in arrays]
         every = 1 if force is None else len(w) // max(1, len(force))
-        done = self._library.sgms_predict(ctypes.c_long(len(w)), ctypes.c_long(every), *pointers)
+        done = self._predict(ctypes.c_long(len(w)), ctypes.c_long(every), *pointers)
         if done != 0:
             raise ValueError(f"{len(w)} samples are no whole number of steps of {self.machine.sampling.merged}")
 
