@@ -17,9 +17,8 @@ typedef struct {
  * Operations: 1 add, 1 exp, 1 inv, 2 mul, 1 neg, 1 sq. */
 static inline void sample_terms(const sgms_real *w, sgms_real *term, int stride)
 {
-    const sgms_real a1 = 1.0 / (1.0 + 0.12 * sgms_exp(-sgms_square(1000.0 * w[W_VELOCITY])));
     term[0 * stride] = w[W_VELOCITY];
-    term[1 * stride] = a1;
+    term[1 * stride] = 1.0 / (1.0 + 0.12 * sgms_exp(-sgms_square(1000.0 * w[W_VELOCITY])));
 }
 
 /* What depends on the parameters alone, once per update.

@@ -77,13 +77,14 @@ class CPrinter:
             count(node)
         text: dict[Node, tuple[str, int]] = {node: (name, _ATOM) for node, name in names.items()}
         taken = set(names.values()) | {target for target, _ in outputs}
+        ends = {node for _, node in outputs}
         lines: list[str] = []
         for node in walk(node for _, node in outputs):
             if node in text or node not in uses:
                 continue
             expression, level = self._expression(node, text)
             shared = uses[node] > 1 and node.op != "const" and not (node.op == "neg" and node.args[0].op != "const")
-            if node in hints or shared or (node.args and self._is_long(expression)):
+            if node in hints or shared or (node.args and node not in ends and self._is_long(expression)):
                 name = self._fresh(hints.get(node, "a"), taken, always_number=node not in hints)
                 lines.append(self.declaration(name, expression))
                 text[node] = (name, _ATOM)

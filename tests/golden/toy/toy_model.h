@@ -75,8 +75,7 @@ static inline sgms_real feed_forward_force(const model_point *at)
 /* Deflections z [m] of the elements. */
 static inline void deflections(const model_point *at, sgms_real *z)
 {
-    const sgms_real a1 = at->x[0] / at->theta[1] / (10000.0 * at->theta[0] / (3.0 * at->theta[1]));
-    z[0] = a1;
+    z[0] = at->x[0] / at->theta[1] / (10000.0 * at->theta[0] / (3.0 * at->theta[1]));
 }
 
 /* Parameters in SI units, and what one unit of theta is. */

@@ -58,8 +58,8 @@ enum {
 #define SELFTEST_COARSE 2e-06 /* of deviations and readings */
 #define SELFTEST_AHEAD 0.001 /* of the force, which is carried on by other steps */
 #define SELFTEST_UNSET 0.001 /* of that without a set-point */
-#define SELFTEST_LARGEST 0.11330898949456779 /* N, friction */
-#define SELFTEST_FARTHEST 1.140164116727346e-05 /* m, deflection */
+#define SELFTEST_LARGEST 0.11330899 /* N, friction */
+#define SELFTEST_FARTHEST 1.1401641e-05 /* m, deflection */
 #define SELFTEST_UNIT 1e-07 /* N, of the motion's friction */
 #define SELFTEST_SET_ACCELERATION 1.5 /* m/s/s, of the second run's set-points */
 #define SELFTEST_RAMP 1.0 /* of the force, per sample */
