@@ -213,6 +213,15 @@ def _estimation() -> dict[str, Variant]:
                 "compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6},
             }
         ),
+        "accuracy": Variant({"code": {"accuracy": 1e-3}}, selftest=True),
+        "accuracy, 5 merged": Variant({"code": {"accuracy": 1e-3}, "sampling": INTEGRATORS["flow, 5 merged"]}),
+        "accuracy, viscous, measurements at ends": Variant(
+            {
+                "code": {"accuracy": 1e-4},
+                "estimator": _estimating("viscous", "coulomb"),
+                "sampling": {"update_rate": 1000.0},
+            }
+        ),
         "no drift": Variant({"estimator": {"noise": {"parameter_drift": 0.0}}}),
         "all, fixed": Variant({"estimator": {**ESTIMATORS["all"], **ESTIMATORS["fixed"]}}),
         "newest, fixed, horizon 1": Variant(

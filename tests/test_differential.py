@@ -40,6 +40,12 @@ PRIORS: dict[str, Any] = {
 
 UNCERTAIN: dict[str, Any] = {"estimator": {"disturbance": {"mass": 0.02, "gain": 0.01}}}
 
+
+def rounded(**estimator: Any) -> dict[str, Any]:
+    """An axis that keeps past velocities rounded, and every second factor of the sweep."""
+    return {"code": {"accuracy": 1e-3}, "estimator": {"relinearise": "auto", **estimator}}
+
+
 TABLE: dict[str, Any] = {
     "name": "learned_residual",
     "place_cells": 4,
@@ -154,6 +160,19 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     },
     "auto, priors": PRIORS | {"estimator": PRIORS["estimator"] | {"relinearise": "auto", "horizon": 7}},
     "auto, much drift": {"estimator": {"relinearise": "auto", "horizon": 7, "noise": {"parameter_drift": 0.02}}},
+    # what is kept rounded, or found again
+    "accuracy": rounded(),
+    "accuracy, horizon 7, much drift": rounded(horizon=7, noise={"parameter_drift": 0.02}),
+    "accuracy, horizon 23": rounded(horizon=23, noise={"parameter_drift": 0.02}),
+    "accuracy, horizon 2": rounded(horizon=2),
+    "accuracy, coulomb, viscous": rounded(parameters=["coulomb", "viscous"], bounds={}),
+    "accuracy, five merged": rounded() | {"sampling": scheme("flow", substeps=20)},
+    "accuracy, measurements at ends alone": rounded() | {"sampling": {"update_rate": 1000.0}},
+    "accuracy, ripple": rounded(parameters=["stiffness", "force_ripple.amplitude_N"])
+    | {"effects": [{"name": "force_ripple", "pitch_m": 0.001, "amplitude_N": 0.8, "phase_rad": 0.7}]},
+    "accuracy, level over the place": rounded()
+    | {"effects": [{"name": "position_dependent_friction", "ratio": 0.2, "pitch_m": 0.004}]},
+    "accuracy, newest": rounded(relinearise="newest"),
     "newest": {"estimator": {"relinearise": "newest"}},
     "newest, fixed": {"estimator": {"relinearise": "newest", "arrival_cost": {"update": "fixed"}}},
     "newest, rk4": {"sampling": scheme("rk4"), "estimator": {"relinearise": "newest"}},

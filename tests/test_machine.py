@@ -606,6 +606,17 @@ def test_override_is_what_an_extending_file_says(tmp_path: Path) -> None:
         override_machine(machine, {"plant": {"mass": -1}})
 
 
+def test_an_accuracy_of_zero_is_that_of_a_file_without_it(tmp_path: Path) -> None:
+    """Its packages hold the digest of before; any other number is content, beyond a tenth of the noise none."""
+    machine = load_machine("etel_xy")
+    assert override_machine(machine, {"code": {"accuracy": 0.0}}).digest == machine.digest
+    rounded = override_machine(machine, {"code": {"accuracy": 1e-3}})
+    assert rounded.digest != machine.digest and rounded.as_dict()["code"]["accuracy"] == 1e-3
+    for refused_one in (-1e-3, 0.2):
+        with pytest.raises(InputError, match=r"code\.accuracy"):
+            override_machine(machine, {"code": {"accuracy": refused_one}})
+
+
 def test_choices_of_a_diagnosis_are_no_part_of_what_is_emitted() -> None:
     machine = load_machine("etel_xy")
     changed = override_machine(machine, {"diagnosis": {"material": 0.01}})

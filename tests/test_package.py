@@ -36,7 +36,7 @@ from sgms_bench import C_DIR
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.host.compiled import replay_definitions
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, merge_tables
 from sgms_mhe.machine.file import RESERVED_NAMES
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -65,6 +65,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "horizon 2": {"estimator": {"horizon": 2}},
     "auto": {"estimator": {"relinearise": "auto"}},
     "auto, rk4": {"estimator": {"relinearise": "auto"}, "sampling": scheme("rk4")},
+    "auto, accuracy": {"estimator": {"relinearise": "auto"}, "code": {"accuracy": 1e-3}},
     "newest": {"estimator": {"relinearise": "newest"}},
     "newest, rk4": {"estimator": {"relinearise": "newest"}, "sampling": scheme("rk4")},
     "level of its own": {"effects": [{"name": "dwell_dependence"}], "estimator": {"relinearise": "auto"}},
@@ -159,7 +160,7 @@ def test_no_warning(compiler: str, level: str, precision: str, require_tool: Too
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("variant", list(VARIANTS))
 def test_no_warning_in_any_variant(variant: str, precision: str, require_tool: Tool, tmp_path: Path) -> None:
-    folder = written(package_of(**VARIANTS[variant], code={"precision": precision}), tmp_path)
+    folder = written(package_of(**merge_tables(VARIANTS[variant], {"code": {"precision": precision}})), tmp_path)
     compile_object(require_tool("gcc"), folder / "etel_xy.c", STRICT, "-O1")
     run(require_tool("clang"), STRICT, "-fsyntax-only", folder / "etel_xy.c")
 
@@ -350,7 +351,7 @@ def test_freestanding(compiler: str, level: str, precision: str, require_tool: T
 @pytest.mark.needs_arm
 @pytest.mark.parametrize("variant", ["flow", "rk4", "ekf"])
 def test_single_precision_has_no_double_arithmetic(variant: str, require_tool: Tool, tmp_path: Path) -> None:
-    folder = written(package_of(**VARIANTS[variant], code={"precision": "single"}), tmp_path)
+    folder = written(package_of(**merge_tables(VARIANTS[variant], {"code": {"precision": "single"}})), tmp_path)
     cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffreestanding", "-O2"]
     package = compile_object(require_tool("arm-none-eabi-gcc"), folder / "etel_xy.c", "-std=c99", cpu)
     needed = {name for kind, name in symbols(package) if kind == "U"}
@@ -471,14 +472,16 @@ def test_tick_and_tasks_give_the_same(relinearise: str, axis: Any) -> None:
     assert same(ticked, tasks)
 
 
-@pytest.mark.parametrize("relinearise", ["auto", "newest"])
-def test_resumed_sweep_is_the_whole_one(relinearise: str, axis: Any) -> None:
+@pytest.mark.parametrize(
+    ("relinearise", "accuracy"), [("auto", 0.0), ("newest", 0.0), ("auto", 1e-9), ("auto", 1e-3), ("newest", 1e-3)]
+)
+def test_resumed_sweep_is_the_whole_one(relinearise: str, accuracy: float, axis: Any) -> None:
     """To rounding (rows are written about newer nodes), through drift, new linearisations and a reset; mostly short."""
-    estimator: Axis = axis(estimator={"relinearise": relinearise})
+    estimator: Axis = axis(estimator={"relinearise": relinearise}, code={"accuracy": accuracy})
     log = log_of("mixed", 1.2)
     memories = estimator.new(), estimator.new()
     found: tuple[list[Any], list[Any]] = [], []
-    reached = []
+    reached, forced = [], []
     for k, (q, u) in enumerate(zip(log.position_m, log.force_N, strict=True)):
         for memory in memories:
             if k == 6050:
@@ -492,13 +495,16 @@ def test_resumed_sweep_is_the_whole_one(relinearise: str, axis: Any) -> None:
             for memory in memories:
                 estimator.c.probe_prepare(memory)
             reached.append(estimator.c.probe_sweep(memories[0]))
-            assert estimator.c.probe_sweep(memories[1]) >= reached[-1]
+            forced.append(estimator.c.probe_sweep(memories[1]))
+            assert forced[-1] >= reached[-1]
     numbers, whole = (np.array([numbers for numbers, _ in estimates]) for estimates in found)
     size = np.abs(whole).max(axis=0)
     assert np.abs((numbers - whole) / size).max() < 1e-11
     assert [status for _, status in found[0]] == [status for _, status in found[1]]
     far = np.array(reached[-40:])
     assert far.max() == estimator.machine.estimator.horizon - 1, "drift takes the whole sweep"
+    # Where every second factor is kept, every second whole sweep begins at the interval that has left.
+    assert max(forced) == estimator.machine.estimator.horizon - 1 + (accuracy > 0.0)
     assert np.maximum(far, 0).mean() < 0.5 * far.max()
     assert (far < 0).any()
 
@@ -530,17 +536,20 @@ def constants(package: Package) -> dict[str, int]:
 @pytest.mark.parametrize(
     ("horizon", "samples", "merged"), [(2, 2, 1), (20, 5, 1), (20, 100, 1), (60, 400, 1), (20, 100, 5), (20, 100, 100)]
 )
-@pytest.mark.parametrize("relinearise", ["all", "auto", "newest"])
-def test_work_of_an_interval_fits_into_its_samples(relinearise: str, horizon: int, samples: int, merged: int) -> None:
+@pytest.mark.parametrize(("relinearise", "accuracy"), [("all", 0.0), ("auto", 0.0), ("newest", 0.0), ("auto", 1e-3)])
+def test_work_of_an_interval_fits_into_its_samples(
+    relinearise: str, accuracy: float, horizon: int, samples: int, merged: int
+) -> None:
     """Units as tick does them, as many as there can be: never more than the bound in one sample, all done in time."""
     settings: dict[str, Any] = {
         "sampling": {"update_rate": 1e4 / samples, "integrator": {"scheme": "flow", "substeps": samples // merged}},
         "estimator": {"horizon": horizon, "relinearise": relinearise},
+        "code": {"accuracy": accuracy},
     }
     of = constants(package_of(**settings))
     nodes = horizon - 1
     steps = samples // merged if relinearise != "newest" else 0
-    order = ["EXPAND"] * nodes + ["CONDENSE"] + ["STEP"] * steps + ["READINGS", "CONDENSE"] * nodes
+    order = ["EXPAND"] * nodes + ["CONDENSE"] + ["STEP"] * steps + ["READINGS", "CONDENSE"] * (nodes + (accuracy > 0.0))
     units = [of[f"{unit}_COST"] for unit in order + ["FOLD"] * of.get("INNER", 0)]
     # A sample that completes a step of merged ones has that to take.
     free = samples - (samples // merged if merged > 1 else 1)
@@ -554,6 +563,36 @@ def test_work_of_an_interval_fits_into_its_samples(relinearise: str, horizon: in
     assert not units
     # A bound, and no more than the work asks for: the mean, and what does not fit because units are whole.
     assert 0 < largest <= 2.0 * mean + max(of["READINGS_COST"], of["CONDENSE_COST"], of["STEP_COST"] * (steps > 0))
+
+
+@pytest.mark.parametrize(
+    ("precision", "accuracy", "most_N", "saved"),
+    [
+        ("double", 1e-9, 0.0, 8 * 44 * 9),
+        ("double", 1e-3, 2.7e-5, 8 * 44 * 9 + 4 * 2000),
+        ("single", 1e-3, 0.0, 4 * 44 * 9),
+    ],
+)
+def test_accuracy_is_kept_and_saves_memory(
+    precision: str, accuracy: float, most_N: float, saved: int, axis: Any
+) -> None:
+    """Every second factor found again is the same to rounding; rounded velocities cost less than the header says."""
+    changes: dict[str, Any] = {"estimator": {"relinearise": "auto"}, "code": {"precision": precision}}
+    exact: Axis = axis(**changes)
+    changes["code"] = {"precision": precision, "accuracy": accuracy}
+    less: Axis = axis(**changes)
+    left = (4 if precision == "single" else 8) * (4 + 2)  # node and measurement of the interval that has left
+    assert exact.c.probe_size() - less.c.probe_size() == saved - left
+    stated = re.search(r"costs at most ([\d.e-]+) N", package_of(**changes).files["etel_xy.h"].replace("\n *", ""))
+    assert (float(stated.group(1)) if stated else 0.0) == most_N
+    log = log_of("mixed", 1.2)
+    whole, found = (
+        np.array([numbers for numbers, _ in e.run(e.new(), log.position_m, log.force_N)]) for e in (exact, less)
+    )
+    apart, size = np.abs(found - whole).max(axis=0), np.abs(whole).max(axis=0)
+    friction, rounding = apart[0], 1e-3 if precision == "single" else 1e-11
+    assert friction <= most_N + rounding * size[0] and np.all(apart <= (1e-7 if most_N else rounding) * size)
+    assert not most_N or friction > 1e-12 * size[0], "something is rounded"
 
 
 def test_memory_follows_what_is_linearised_anew(axis: Any) -> None:

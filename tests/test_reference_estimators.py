@@ -107,7 +107,7 @@ def test_kept_linearisations_are_exact_on_a_linear_model() -> None:
 
 
 def kept_at(record: NodeRecord, x: Array, theta: Array) -> StoredIntervals:
-    return StoredIntervals.of(x, theta, integrate(record, 0, x, theta))
+    return StoredIntervals.of(x, theta, integrate(record, record.plan, 0, x, theta))
 
 
 def slow_record(model: Model) -> tuple[NodeRecord, Array]:

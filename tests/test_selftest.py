@@ -223,6 +223,12 @@ def test_returns_0_for_an_axis_of_known_colour(require_tool: Tool, tmp_path: Pat
     assert answer(require_tool("gcc"), folder, tmp_path, "-O1") == 0
 
 
+def test_returns_0_where_velocities_are_rounded(require_tool: Tool, tmp_path: Path) -> None:
+    changes = {"estimator": {"relinearise": "auto", "horizon": 4}, "code": {"accuracy": 1e-3}}
+    folder = written(package_of(selftest=True, **changes), tmp_path)
+    assert answer(require_tool("gcc"), folder, tmp_path, *STRICT, "-O1") == 0
+
+
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_returns_0_where_doubt_ramps_the_force(precision: str, require_tool: Tool, tmp_path: Path) -> None:
     changes = {"estimator": {"kind": "ekf"}, "compensation": {"on_doubt": "ramp"}, "code": {"precision": precision}}

@@ -41,7 +41,7 @@ def schedule_of(sizes: Sizes, variant: Variant) -> Costs:
     step = (sum(g.cost * g.rows * g.n_blocks for g in sizes.groups) + reading) * max(1, intervals)
     # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
     units = [expand] * (slots - 1) + [condense] + [step] * (sizes.steps if intervals else 0)
-    units += [readings, condense] * (slots - 1) + [fold] * sizes.inner
+    units += [readings, condense] * variant.most_condensed + [fold] * sizes.inner
     # A sample that completes a merged one has a step of its own to take.
     samples = sizes.samples - (sizes.steps if variant.merges else 1)
     return Costs(expand, step, readings, condense, fold, _least_per_sample(units, samples))

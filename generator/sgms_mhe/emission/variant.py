@@ -23,6 +23,8 @@ class Variant:
         bounded: a parameter has a bound.
         resumes: the sweep begins where something has changed: the factor before an interval stays what it is while
             linearisations are kept and the output is affine in what is estimated.
+        rounding: share of a measurement's noise that velocities kept in single precision cost at most; 0: they are not.
+        thins: every second factor of the sweep is kept; the one between is found again where it is needed.
         merges: a step of the series is a line through several samples.
         self_scaling: readings are weighed by how well they were predicted.
     """
@@ -33,6 +35,8 @@ class Variant:
     fixed: bool
     bounded: bool
     resumes: bool
+    rounding: float
+    thins: bool
     merges: bool
     self_scaling: bool
 
@@ -40,6 +44,11 @@ class Variant:
     def has_series(self) -> bool:
         """Return True if the series of older intervals is stored, because they may be integrated again."""
         return self.relinearise != "newest"
+
+    @property
+    def most_condensed(self) -> int:
+        """Intervals that a sweep condenses at most, the newest aside."""
+        return max(0, self.horizon - 1) + self.thins
 
     @property
     def keeps_inner(self) -> bool:
@@ -60,6 +69,7 @@ def variant_of(model: Model) -> Variant:
     # The newest interval is integrated as it is sampled: only older ones need their series again, or lanes.
     relinearise = estimator.relinearise if horizon > 1 else "newest"
     fixed = estimator.arrival_cost.update == "fixed"
+    resumes = horizon > 0 and relinearise != "all" and not fixed and model.output_is_affine
     bounds = [edge for p in model.parameters for edge in (p.lower, p.upper)]
     return Variant(
         single=machine.code.precision == "single",
@@ -67,7 +77,10 @@ def variant_of(model: Model) -> Variant:
         relinearise=relinearise,
         fixed=fixed,
         bounded=bool(np.any(np.isfinite(bounds))),
-        resumes=horizon > 0 and relinearise != "all" and not fixed and model.output_is_affine,
+        resumes=resumes,
+        rounding=model.rounding if relinearise == "auto" else 0.0,
+        # The noise of an interval by its path is another's as soon as that has come to its end.
+        thins=resumes and machine.code.accuracy > 0.0 and not np.any(model.noise_travel),
         merges=sampling.merged > 1,
         self_scaling=estimator.noise.self_scaling,
     )

@@ -55,7 +55,7 @@ def work_of(of: PackageView) -> Work:
     feedback = least_squares.feedback()
     units, in_sample, left_over = [], [], 0
     if variant.horizon:
-        units = least_squares.units(anew, sizes.slots - 1)
+        units = least_squares.units(anew, variant.most_condensed)
         in_sample = _dearest_in_sample(least_squares, anew)
         left_over = sizes.inner * least_squares.folded
     prepare, at_once = (sum(unit.operations for unit in some) for some in (units, in_sample))
@@ -151,11 +151,14 @@ class _LeastSquares:
             condense += self.ends
         else:
             start += self.kept
+        sweep = [Unit(costs.readings, self.readings()), Unit(costs.condense, condense)] * condensed
+        if variant.thins and condensed == variant.most_condensed:  # drift enters at the end of what has left the window
+            sweep[1] = Unit(costs.condense, self.condensed + self.drift)
         return [
             *[Unit(costs.expand, expand)] * (sizes.slots - 1),
             Unit(costs.condense, start),
             *(Unit(costs.step, operations, is_step=True) for operations in self.steps(step)),
-            *[Unit(costs.readings, self.readings()), Unit(costs.condense, condense)] * condensed,
+            *sweep,
             *[Unit(costs.fold, self.folded)] * sizes.inner,
         ]
 
@@ -184,7 +187,7 @@ def _dearest_in_sample(least_squares: _LeastSquares, step: int) -> list[Unit]:
     Intervals are condensed from any one on, and where none is linearised anew there are no steps.
     """
     dearest: list[Unit] = []
-    for condensed in range(least_squares.sizes.slots):
+    for condensed in range(1 + least_squares.variant.most_condensed):
         every = least_squares.units(step, condensed)
         for units in (every, [unit for unit in every if not unit.is_step]):
             costs = [0, *accumulate(unit.cost for unit in units)]

@@ -35,6 +35,13 @@ class Code(MachineTable):
     """The emitted C."""
 
     precision: Literal["double", "single"] = text("floating-point type", "double or single", "double")
+    accuracy: float = quantity(
+        "share of the stated noise that keeping less may cost, rounded or found again; 0: all is kept",
+        "1",
+        0.0,
+        ge=0,
+        le=0.1,
+    )
     tick_budget: float | None = quantity(
         "operations that the longest tick may take; default 250e6 per second, a Cortex-M7's, over rate",
         "1",

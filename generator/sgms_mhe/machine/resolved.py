@@ -94,6 +94,8 @@ class Machine(Shown):
         estimator |= {key: units.keyed(estimator[key]) for key in ("prior", "bounds")}
         if self.estimator.disturbance == Disturbance():
             del estimator["disturbance"]
+        if not self.code.accuracy:
+            del content["code"]["accuracy"]
         return {
             "name": self.name,
             "description": self.description,

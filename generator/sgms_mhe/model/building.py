@@ -133,6 +133,21 @@ class Model:
         here, there = (np.array(function(node, w)).reshape(len(points), -1) for node in nodes)
         return bool(np.all(np.abs(there - here).max(axis=1) <= 1e-11 * np.abs(here).max(axis=1)))
 
+    @cached_property
+    def rounding(self) -> float:
+        """Share of a measurement's stated noise that past velocities of 24 bits cost at most; 0: they are kept in full.
+
+        A displacement is then off by 2^-24 of itself, and moves an element by that share of its level at most: one that
+        moves farther than it holds slips, and forgets. At worst all samples of an interval are off to the same side.
+        They are rounded where `[code] accuracy` allows that much, and older intervals need no other signals.
+        """
+        machine, friction = self.machine, self.machine.friction
+        level = friction.coulomb * (1.0 + friction.stribeck_ratio)
+        share = machine.sampling.samples_per_update * 2.0**-24 * level / machine.estimator.noise.measurement
+        read = ca.which_depends(self.rhs, self.w)
+        reads_more = any(read[k] for k, name in enumerate(self.signal_names) if name != "velocity")
+        return 0.0 if machine.code.precision == "single" or reads_more or share > machine.code.accuracy else share
+
     def to_si(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """Parameters in SI units from scaled ones, shape (..., n_p)."""
         nominal = np.array([p.nominal for p in self.parameters])

@@ -37,9 +37,9 @@ class ReferenceIntegrator:
         """Tables of the displacement flow."""
         return self._blocks.flow
 
-    def plan(self, signals: Signals) -> Plan:
-        """Steps and substeps of every complete interval of a record."""
-        return self._planner.plan(signals)
+    def plan(self, signals: Signals, *, rounded: bool = False) -> Plan:
+        """Steps and substeps of every complete interval of a record; `rounded`: as steps are kept in 24 bits."""
+        return self._planner.plan(signals, rounded=rounded)
 
     def intervals(self, plan: Plan, first: int, x: Array, theta: Array) -> Linearised:
         """Integrate intervals first, first + 1, ... (0 leads from node 0) from the node states x (n, n_x)."""

@@ -98,7 +98,7 @@ def run_mhe(record: NodeRecord, progress: Progress | None = None) -> Estimates:
         else:
             if relinearise == "auto" and kept is not None:
                 kept = renew(record, first, kept, x[:-1], theta)
-            fresh = StoredIntervals.of(x[-1:], theta, integrate(record, node - 1, x[-1:], theta))
+            fresh = StoredIntervals.of(x[-1:], theta, integrate(record, record.plan, node - 1, x[-1:], theta))
             kept = fresh if kept is None else kept.append(fresh)
             window = window_of(record, first, x, theta, kept.at(x, theta))
         is_full = len(x) == weights.horizon
@@ -159,7 +159,7 @@ def renew(record: NodeRecord, first: int, kept: StoredIntervals, x: Array, theta
     if k is None:
         return kept
     start = x[k : k + 1]
-    return kept.renew(k, StoredIntervals.of(start, theta, integrate(record, first + k, start, theta)))
+    return kept.renew(k, StoredIntervals.of(start, theta, integrate(record, record.kept_plan, first + k, start, theta)))
 
 
 def dense_problem(record: NodeRecord, window: Window, arrival: Gaussian, scales: NoiseFactors) -> tuple[Array, Array]:

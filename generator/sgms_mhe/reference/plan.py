@@ -104,14 +104,15 @@ class Planner:
         self._blocks = blocks
         self._sampling = blocks.model.machine.sampling
 
-    def plan(self, signals: Signals) -> Plan:
-        """Steps and substeps of every complete interval of a record."""
+    def plan(self, signals: Signals, *, rounded: bool = False) -> Plan:
+        """Steps and substeps of every complete interval of a record; `rounded`: as steps are kept in 24 bits."""
+        precision = np.float32 if rounded else np.float64
         samples, h, stairs = self._sampling.samples_per_update, self._sampling.step, self._sampling.merged
         intervals = (len(signals) - 1) // samples
         mean = mean_samples(self._blocks.model.machine)
         w = signal_array(signals, h, mean=mean)[: intervals * samples + 1]
         if stairs == 1:
-            stair = start = end = w[1:]
+            stair = start = end = w[1:].astype(precision).astype(float)
             substeps = stair_substeps = self._held(np.abs(end[:, 1]), h)
             cut, piece_substeps = np.zeros(len(end)), np.zeros((len(end), len(self._blocks.all), 2), dtype=np.int64)
             slide = np.zeros((len(end), 3))
@@ -119,8 +120,8 @@ class Planner:
             # Lines by least squares through samples at the middles of their times: displacement is exact.
             tau = (2.0 * np.arange(stairs) + 1.0) / stairs - 1.0
             merged = w[1:].reshape(-1, stairs, w.shape[1])
-            middle = merged.mean(axis=1)
-            change = np.einsum("k,ski->si", tau, merged) / np.sum(tau * tau)
+            middle = merged.mean(axis=1).astype(precision).astype(float)
+            change = (np.einsum("k,ski->si", tau, merged) / np.sum(tau * tau)).astype(precision).astype(float)
             start, end = middle - change, middle + change
             stair = (middle[:, None, :] + tau[:, None] * change[:, None, :]).reshape(-1, w.shape[1])
             reverses = np.abs(change[:, 1]) > np.abs(middle[:, 1])

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -173,6 +174,7 @@ class NodeRecord:
         self.start = start
         samples = model.machine.sampling.samples_per_update
         self.plan: Plan = integrator.plan(signals)
+        self._signals = signals
         self.updates = len(self.plan.path)
         self._motion = motion_of(self.plan.path, self.plan.displacement, self.weights.hold_path)
         self.sigma_x: Array = noise_along(self.plan.path, self.weights)
@@ -189,6 +191,11 @@ class NodeRecord:
         noise = np.ones(len(signals)) if signals.noise is None else signals.noise
         self.noise: Array = noise[nodes]
         self.inner_noise: Array = noise[after].reshape(self.updates, samples)[inside]
+
+    @cached_property
+    def kept_plan(self) -> Plan:
+        """The plan of intervals that are linearised anew, from what an axis keeps of them."""
+        return self.integrator.plan(self._signals, rounded=True) if self.model.rounding else self.plan
 
     @property
     def first(self) -> Gaussian:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sgms_mhe.reference.linearised import Linearised, Outputs
+from sgms_mhe.reference.plan import Plan
 from sgms_mhe.reference.problem import NodeRecord
 from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling, take_reading
 from sgms_mhe.support.arrays import Array
@@ -39,13 +40,13 @@ class Window:
 
 def linearise(record: NodeRecord, first: int, x: Array, theta: Array) -> Window:
     """Integrate from every node of x; the newest node starts where the newest interval leads."""
-    return window_of(record, first, x, theta, integrate(record, first, x, theta))
+    return window_of(record, first, x, theta, integrate(record, record.plan, first, x, theta))
 
 
-def integrate(record: NodeRecord, first: int, x: Array, theta: Array) -> Linearised:
+def integrate(record: NodeRecord, plan: Plan, first: int, x: Array, theta: Array) -> Linearised:
     """Intervals from the nodes x, the first of them from node `first`."""
     with np.errstate(all="ignore"):
-        return record.integrator.intervals(record.plan, first, x, theta)
+        return record.integrator.intervals(plan, first, x, theta)
 
 
 def window_of(record: NodeRecord, first: int, x: Array, theta: Array, intervals: Linearised) -> Window:
