@@ -12,7 +12,7 @@ from sgms_mhe.emission.package import Package, emit_package
 
 SHAPES = (
     "flow", "flow, 5 merged, single", "rk4, all", "every effect", "effects: upstream, 5 merged", "switching, levels",
-    "switching, 5 merged", "compensation, ekf, single", "geared, compensation", "n_z 10", "linear model",
+    "switching, 5 merged", "compensation, ekf, single", "geared, compensation", "n_z 10", "linear model", "accuracy",
 )  # fmt: skip
 """Variants whose code differs in kind."""
 

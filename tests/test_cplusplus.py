@@ -20,7 +20,7 @@ NUMBERS = ("-O2", "-ffp-contract=off", "-fPIC")
 PACKAGES = (
     "machine etel_xy", "machine etel_xy_controller", "machine etel_xy_paper", "machine emps",
     "machine etel_xy_switching", "switching, 5 merged", "switching, levels, 5 merged",
-    "flow, ekf", "flow, 5 merged", "rk4, all", "rk4, fixed",
+    "flow, ekf", "flow, 5 merged", "rk4, all", "rk4, fixed", "accuracy",
     "horizon 1", "bounds of two, 5 merged", "linear model", "compensation, effects",
     "every effect, single", "every effect, fixed, rk4, 4 merged",
     "effects: time", "effects: upstream, 5 merged, single", "toy, states", "toy, single",

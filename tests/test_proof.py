@@ -29,7 +29,7 @@ def test_no_call_leaves_its_memory(require_tool: Tool) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ekf", "newest", "switching", "signals"])
+@pytest.mark.parametrize("name", ["ekf", "newest", "auto", "switching", "signals"])
 def test_tick_of_other_kinds_does_not_either(name: str, require_tool: Tool) -> None:
     require_tool("frama-c")
     assert check_proof([specimen(name)], print, ("TICK",)).failures == ()

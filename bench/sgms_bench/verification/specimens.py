@@ -31,7 +31,11 @@ SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
     "merged_auto": _merge(4, estimator={"relinearise": "auto"}, **SINGLE, **COMPENSATED),
     "merged_all": _merge(4, estimator=BELIEVING),
     "newest": {"estimator": {"relinearise": "newest", **BELIEVING}, **_scheme("rk4"), **SINGLE},
-    "auto": {"estimator": {"relinearise": "auto", "parameters": ["coulomb", "viscous"]}, **_scheme("rk4", substeps=40)},
+    "auto": {
+        "estimator": {"relinearise": "auto", "parameters": ["coulomb", "viscous"]},
+        **_scheme("rk4", substeps=40),
+        "code": {"accuracy": 0.01},
+    },
     "fixed": {
         "estimator": {"arrival_cost": {"update": "fixed"}, "horizon": 6, **BELIEVING},
         **_scheme("rk4", substeps=4),
