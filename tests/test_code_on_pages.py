@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = {path.relative_to(ROOT).as_posix(): path for path in sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])}
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
 
-WITHOUT_CODE = {"", "text"}
-"""Blocks without a language: formulas, tables, what a command prints, folders."""
+WITHOUT_CODE = {"", "math", "text"}
+"""Blocks that are no code: formulas, tables, what a command prints, folders."""
 
 NO_TOOL = {"matlab": "MATLAB is nowhere that tests run"}
 """Languages that nothing here can run or parse, and why."""

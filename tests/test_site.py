@@ -116,7 +116,7 @@ def test_search_index_holds_terms_and_places(site: Path) -> None:
     for term, place in {
         "arrival cost": "docs/estimation.html",
         "set_mass": "reference/c.html",
-        "held-out": "reference/commands.html#diagnose",
+        "held-out": "reference/commands/diagnose.html",
         "stribeck_velocity": "reference/machine.html",
         "presliding": "docs/glossary.html",
     }.items():
@@ -154,18 +154,49 @@ def test_search_finds_in_files_without_a_server(browser: Browser, site: Path) ->
     assert browser.complaints() == []
 
 
+# --- read on every screen ---------------------------------------------------------------------------------------------
+
+
+def test_equations_are_typeset_at_build_time(site: Path) -> None:
+    for path in (ROOT / "docs").glob("*.md"):
+        blocks = path.read_text(encoding="utf-8").count("```math\n")
+        page = (site / "docs" / ("index.html" if path.stem == "README" else f"{path.stem}.html")).read_text("utf-8")
+        assert page.count('<math display="block">') == blocks, path.name
+        assert "arithmatex" not in page and "<merror" not in page, path.name
+    assert '<div class="equation"><math' in (site / "docs" / "model.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+def test_pages_fit_the_screen_and_buttons_cover_no_code(browser: Browser, site: Path, width: int) -> None:
+    for page in ("index.html", "docs/walk.html", "docs/model.html", "docs/signals.html"):
+        browser.show(site / page, width=width)
+        assert browser.ask("return document.documentElement.scrollWidth") == width, page
+        covered = browser.ask(
+            "return [...document.querySelectorAll('pre')].filter(pre => { const button = pre.querySelector('button');"
+            " const code = pre.querySelector('code'); return button && code &&"
+            " button.getBoundingClientRect().left < code.getBoundingClientRect().right - 1; }).length"
+        )
+        assert covered == 0, page
+
+
+@pytest.mark.parametrize("folder", ["commands", "effects", "python"])
+def test_overviews_have_an_anchor_and_a_page_for_every_entry(site: Path, folder: str) -> None:
+    overview = (site / "reference" / f"{folder}.html").read_text(encoding="utf-8")
+    pages = {path.stem for path in (site / "reference" / folder).glob("*.html")}
+    assert len(pages) > 10
+    assert {name for name in pages if f'href="{folder}/{name}.html" id="{name}"' not in overview} == set()
+
+
 # --- references that are made ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", command_names())
-def test_every_option_is_in_the_reference(pages: dict[str, Addresses], site: Path, name: str) -> None:
-    page = (site / "reference" / "commands.html").read_text(encoding="utf-8")
-    section = re.search(rf'<h2 id="{name}">(.*?)(<h2|</article>)', page, flags=re.DOTALL)
-    assert section
+def test_every_option_is_in_the_reference(site: Path, name: str) -> None:
+    page = (site / "reference" / "commands" / f"{name}.html").read_text(encoding="utf-8")
     said = run(name, "--help").output.partition("Options:")[2].partition("Example:")[0]
     options = set(re.findall(r"^ +(?:-\w, )?(--[a-z-]+)", said, flags=re.MULTILINE)) - {"--help"}
     assert options or name == "schema"
-    assert {option for option in options if not re.search(rf"<code>[^<]*{option}\b", section[1])} == set()
+    assert {option for option in options if not re.search(rf"<code>[^<]*{option}\b", page)} == set()
 
 
 def keys(schema: Any) -> Iterator[str]:
@@ -185,21 +216,18 @@ def test_every_key_of_the_schema_is_in_the_reference(site: Path) -> None:
 
 
 def test_every_effect_and_parameter_is_in_the_reference(site: Path) -> None:
-    page = (site / "reference" / "effects.html").read_text(encoding="utf-8")
     rules = json.loads(run("schema").stdout)["$defs"]["Effect"]["allOf"]
     assert [rule["if"]["properties"]["name"]["const"] for rule in rules] == list(EFFECT_NAMES)
     for rule in rules:
         name = rule["if"]["properties"]["name"]["const"]
-        section = re.search(rf'<h2 id="{name}">(.*?)(<h2|</article>)', page, flags=re.DOTALL)
-        assert section, name
-        lacking = [key for key in rule["then"]["properties"] if f"<code>{key}</code>" not in section[1]]
+        page = (site / "reference" / "effects" / f"{name}.html").read_text(encoding="utf-8")
+        lacking = [key for key in rule["then"]["properties"] if f"<code>{key}</code>" not in page]
         assert lacking == []
 
 
 def test_the_python_interface_is_in_the_reference(site: Path) -> None:
-    page = (site / "reference" / "python.html").read_text(encoding="utf-8")
-    sections = dict(re.findall(r'<h3 id="[^"]*">(\w+)<a(.*?)(?=<h[23]|</article>)', page, flags=re.DOTALL))
-    assert list(sections) and set(sections) == set(sgms_mhe.__all__)
+    sections = {path.stem: path.read_text(encoding="utf-8") for path in (site / "reference" / "python").iterdir()}
+    assert sections and set(sections) == set(sgms_mhe.__all__)
     for name, section in sections.items():
         member = getattr(sgms_mhe, name)
         named = fields(member) if is_dataclass(member) and "Attributes:" in (member.__doc__ or "") else ()

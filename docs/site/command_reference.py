@@ -1,4 +1,4 @@
-"""The page of all commands with every option, from the command line's own objects."""
+"""Pages of the commands with every option, from the command line's own objects."""
 
 from __future__ import annotations
 
@@ -7,26 +7,27 @@ from inspect import cleandoc
 
 import click
 
-from markup import table
+from markup import split, table
 from sgms_mhe.cli import cli, command_names
 
 HEAD = """# Commands, every option
 
-Made from the command line itself: what `sgms-mhe COMMAND --help` says. What each command is for, and how its results
-read, is on [its page](../docs/commands.md).
+One page per command, made from the command line itself: the output of `sgms-mhe COMMAND --help`. The purpose of each
+command, and the meaning of its results, are in [commands](../docs/commands.md).
 
 `-q`, `--quiet` before a command: results and errors alone. Exit codes: 0 done, 1 done and the answer is no, 2 bad
 input."""
 
 
-def page() -> str:
-    """Markdown of all commands, in the order of --help."""
+def pages() -> dict[str, str]:
+    """Return the Markdown of an overview and of every command, by address, in the order of --help."""
     context = click.Context(cli, info_name="sgms-mhe")
-    found = ((name, cli.get_command(context, name)) for name in command_names())
-    return "\n\n".join([HEAD, *(_section(name, command, context) for name, command in found if command is not None)])
+    found = [(name, cli.get_command(context, name)) for name in command_names()]
+    rows = [(name, _page(name, one, context), one.get_short_help_str(200)) for name, one in found if one is not None]
+    return split("reference/commands.md", HEAD, ["command", "summary"], rows)
 
 
-def _section(name: str, command: click.Command, parent: click.Context) -> str:
+def _page(name: str, command: click.Command, parent: click.Context) -> str:
     context = click.Context(command, info_name=name, parent=parent, max_content_width=10_000)
     usage = command.get_usage(context).removeprefix("Usage: ")
     # \b keeps the lines of a paragraph of help as they are.
@@ -36,6 +37,6 @@ def _section(name: str, command: click.Command, parent: click.Context) -> str:
     rows = [[f"`{option}`", meaning] for option, meaning in records if meaning]
     epilog = (command.epilog or "").removeprefix("\b\nExample:\n")
     examples = re.sub(r"^  ", "", epilog, flags=re.MULTILINE)
-    parts = [f"## {name}", f"```sh\n{usage}\n```", *text]
+    parts = [f"# {name}", f"```sh\n{usage}\n```", *text]
     parts += [table(["option", "meaning"], rows)] if rows else []
     return "\n\n".join([*parts, f"```sh\n{examples}\n```"])

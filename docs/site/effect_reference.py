@@ -1,4 +1,4 @@
-"""The page of all effects with every parameter, from what the command `effects` says of them."""
+"""Pages of the effects with every parameter, from the output of the command `effects`."""
 
 from __future__ import annotations
 
@@ -7,28 +7,30 @@ from typing import Any
 
 from click.testing import CliRunner
 
-from markup import table
+from markup import split, table
 from sgms_mhe.cli import cli
 from sgms_mhe.model.effects import EFFECT_NAMES
 
 HEAD = """# Effects, every parameter
 
-Made from the catalogue: what `sgms-mhe effects NAME` says. [Effects](../docs/effects.md) says what they are and how
-they are used; causes of a diagnosis that are no effects stand there too."""
+One page per effect, made from the catalogue: the output of `sgms-mhe effects NAME`. [Effects](../docs/effects.md) says
+what they are and how they are used; causes of a diagnosis that are no effects stand there too."""
 
 
-def page() -> str:
-    """Markdown of all effects of this package, in the catalogue's order."""
-    return "\n\n".join([HEAD, *(_section(_said(name)) for name in EFFECT_NAMES)])
+def pages() -> dict[str, str]:
+    """Return the Markdown of an overview and of every effect of this package, by address, in the catalogue's order."""
+    effects = [_described(name) for name in EFFECT_NAMES]
+    rows = [(effect["name"], _page(effect), f"Stage {effect['stage']}: {effect['summary']}") for effect in effects]
+    return split("reference/effects.md", HEAD, ["effect", "stage and summary"], rows)
 
 
-def _said(name: str) -> dict[str, Any]:
+def _described(name: str) -> dict[str, Any]:
     done = CliRunner().invoke(cli, ["effects", name, "--json"], catch_exceptions=False)
     content: dict[str, Any] = json.loads(done.stdout)
     return content
 
 
-def _section(effect: dict[str, Any]) -> str:
+def _page(effect: dict[str, Any]) -> str:
     rows = []
     for p in effect["parameters"]:
         named = [f"`{own}` [{p['units'][kind]}]" for kind, own in p["names"].items()]
@@ -36,7 +38,7 @@ def _section(effect: dict[str, Any]) -> str:
         rows.append([", ".join(dict.fromkeys(named)), p["meaning"], allowed, f"{p['default']:g}"])
     seen = effect["excitation"]
     parts = [
-        f"## {effect['name']}",
+        f"# {effect['name']}",
         f"{effect['summary'][0].upper()}{effect['summary'][1:]}. Stage {effect['stage']}; "
         f"of an axis that is {' or '.join(effect['kinds'])}.",
         table(["parameter", "meaning", "allowed", "default"], rows),

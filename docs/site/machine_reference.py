@@ -16,10 +16,10 @@ ELSEWHERE = {"Effect": "The parameters of each are on [their own page](effects.m
 """Definitions that another page continues."""
 
 
-def page() -> str:
-    """Markdown of all tables of a machine file."""
+def pages() -> dict[str, str]:
+    """Return the Markdown of all tables of a machine file, by address."""
     schema = machine_schema()
-    return "\n\n".join([HEAD, *_tables("", schema, schema["$defs"], set())])
+    return {"reference/machine.md": "\n\n".join([HEAD, *_tables("", schema, schema["$defs"], set())])}
 
 
 def _tables(path: str, definition: dict[str, Any], known: dict[str, Any], done: set[str]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The page of the Python interface, from its signatures and docstrings."""
+"""Pages of the Python interface, from its signatures and docstrings."""
 
 from __future__ import annotations
 
@@ -7,31 +7,36 @@ import re
 from typing import Any
 
 import sgms_mhe
-from markup import cell, table
+from markup import cell, split, table
 
 HEAD = """# Python interface
 
-Made from the docstrings of what `import sgms_mhe` offers; `help(sgms_mhe.estimate)` says the same.
+One page per name of `import sgms_mhe`, made from its docstring; `help(sgms_mhe.estimate)` says the same.
 [Use it from Python](../docs/python.md) has examples."""
 
 
-def page() -> str:
-    """Markdown of every public name: functions, then the classes of results, then errors."""
+def pages() -> dict[str, str]:
+    """Return the Markdown of an overview and of every public name, by address: functions, results, errors."""
     members = {name: getattr(sgms_mhe, name) for name in sgms_mhe.__all__}
-    functions = [_function(name, member) for name, member in members.items() if not isinstance(member, type)]
-    classes = [name for name, member in members.items() if isinstance(member, type)]
-    errors = [name for name in classes if issubclass(members[name], Exception)]
-    results = [name for name in classes if name not in errors]
-    parts = [HEAD, "## Functions", *functions, "## Results", *(_class(name, members[name]) for name in results)]
-    return "\n\n".join([*parts, "## Errors and warnings", *(_class(name, members[name]) for name in errors)])
+    ordered = sorted(members, key=lambda name: (isinstance(members[name], type), _is_error(members[name])))
+    rows = []
+    for name in ordered:
+        member = members[name]
+        text = _class(name, member) if isinstance(member, type) else _function(name, member)
+        rows.append((name, text, (inspect.getdoc(member) or "").partition("\n\n")[0]))
+    return split("reference/python.md", HEAD, ["name", "summary"], rows)
+
+
+def _is_error(member: Any) -> bool:
+    return isinstance(member, type) and issubclass(member, Exception)
 
 
 def _function(name: str, function: Any) -> str:
-    return "\n\n".join([f"### {name}", _signature(name, function), _sections(inspect.getdoc(function) or "")])
+    return "\n\n".join([f"# {name}", _signature(name, function), _sections(inspect.getdoc(function) or "")])
 
 
 def _class(name: str, kind: type) -> str:
-    parts = [f"### {name}", _sections(inspect.getdoc(kind) or "")]
+    parts = [f"# {name}", _sections(inspect.getdoc(kind) or "")]
     rows = []
     for method, member in vars(kind).items():
         inner = member.fget if isinstance(member, property) else member
