@@ -58,7 +58,7 @@ def test_no_deviation_is_wider_than_a_numbers_range(value: float, std: float, up
 
 
 def test_flicker_at_rest_is_no_motion_of_a_stand_in() -> None:
-    """A stand-in is no stiffer than a count shows; readings within a step move neither friction nor parameters."""
+    """An assumed stiffness is no stiffer than a count shows; readings within a step move neither friction nor parameters."""
     rate, random = 500.0, np.random.default_rng(4)
 
     def torque(a: Array, v: Array, _: Array) -> Array:
@@ -72,7 +72,7 @@ def test_flicker_at_rest_is_no_motion_of_a_stand_in() -> None:
     assert not stiffness.determined and found.to_json()["numbers"][2]["std"] is None
     assert 0.8 * COUNT <= found.number("coulomb").value / stiffness.value <= 1.2 * COUNT
     assert found.machine.sampling.position_step == pytest.approx(COUNT, rel=1e-5)
-    assert f"# stiffness: {stiffness.value:.6g} (not determined: a stand-in)" in found.toml
+    assert f"# stiffness: {stiffness.value:.6g} (not determined: assumed)" in found.toml
     within(found, coulomb=0.57, viscous=0.5)
 
     rest = np.convolve(np.tile(np.repeat([0.3, 0.0, -0.9, 0.0], 500), 4), np.ones(30) / 30.0, "same")

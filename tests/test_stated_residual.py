@@ -82,7 +82,7 @@ def test_one_number_has_one_name(step: float, rotary: bool, gap: bool, tmp_path:
     assert predicted[f"held_out_{unit}"] == pytest.approx(stated["held_out_before"], rel=0.15)
     # Of stiff elements an encoder makes most of it, in a file behind the signal chain.
     assert predicted[f"noise_floor_{unit}"] == pytest.approx(rms["noise_floor"], rel=0.15)
-    # A diagnosis makes stand-ins as stiff as its log prefers, and states the floor of those.
-    has_stand_ins = any("stand-in" in (number["note"] or "") for number in found["numbers"])
-    if not (diagnosis["causes"] or has_stand_ins):
+    # A diagnosis assumes stiffnesses as high as its log prefers, and states the floor of those.
+    has_assumed = any("assumed" in (number["note"] or "") for number in found["numbers"])
+    if not (diagnosis["causes"] or has_assumed):
         assert stated["noise_floor"] == pytest.approx(predicted[f"noise_floor_{unit}"], rel=0.1)

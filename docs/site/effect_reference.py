@@ -47,7 +47,7 @@ def _page(effect: dict[str, Any]) -> str:
     ]
     if effect["confused_with"]:
         rivals = [[f"`{name}`", "; ".join(moves)] for name, moves in effect["confused_with"].items()]
-        parts.append(table(["confused with", "told apart by"], rivals))
+        parts.append(table(["confused with", "distinguished by"], rivals))
     refusals = [f"`{other}`: together they cancel" for other in effect["excludes"]]
     refusals += [f'`law = "switching"`: {effect["not_with_switching"]}'] if effect["not_with_switching"] else []
     if refusals:

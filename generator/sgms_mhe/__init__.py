@@ -1,7 +1,33 @@
 """Generator of embedded friction observers: S-GMS friction model, moving horizon estimation, emitted C.
 
-The names in `__all__` are the public interface for Python, each imported when it is first asked for: functions, the
-classes of their results, errors and warnings. `help(sgms_mhe.estimate)` has arguments, shapes, units and errors of one.
+Functions, each with arguments, shapes, units and errors in its own help, as `help(sgms_mhe.estimate)`:
+
+    load         read a machine file
+    read_log     read a log of any format
+    simulate     move a simulated axis and log position and force
+    estimate     friction and parameters from a log, one row per update
+    predict      friction along a log without estimation
+    find_origin  position from which forces over place count
+    diagnose     errors of a machine file along a log, named, with numbers
+    identify     a machine file from logs alone
+    tune         noise weights and horizon that suit a log
+    plan         reference trajectory of the next experiment
+    effects      catalogue of effects beyond friction
+    fleet        one of these for every row of a table of machines and logs
+    generate     the estimator as C99
+    export       the axis for another simulator
+
+Example:
+
+    import sgms_mhe
+
+    machine = sgms_mhe.load("etel_xy")
+    run = sgms_mhe.simulate(machine, "mixed", duration_s=2.0, seed=1)
+    estimates = sgms_mhe.estimate(machine, run.log)
+    print(estimates.friction_N[-1], estimates.status[-1])
+
+A machine is a path, a name in `machines/` or a `Machine`; a log is a path, a `Log`, a DataFrame or arrays by name.
+Results are frozen dataclasses; bad input is an `InputError`.
 """
 
 import os as _os

@@ -43,7 +43,7 @@ CHECKED: Final = 64
 AT_ONCE: Final = 20
 """Updates that are replayed at a time."""
 STRETCH_S: Final = 20.0
-"""Length of the stretches of a log that comes in pieces whose columns are held against what an axis can leave."""
+"""Length of the stretches of a log that comes in pieces whose columns are checked against those of a plausible axis."""
 
 LEAST_STRETCH_S: Final = 5.0
 """Of the last stretch, where there were others."""
@@ -274,7 +274,7 @@ class Watch:
         self._chain: Chain | None = None
 
     def take(self, piece: Piece, *, judged: bool) -> Estimates:
-        """The updates of the samples that follow; `judged`: the columns were held against the axis before.
+        """The updates of the samples that follow; `judged`: the columns were checked before.
 
         Raises:
             InputError: signals of its own, and no measurement to begin with.

@@ -124,7 +124,7 @@ def _text(content: dict[str, Any]) -> str:
     lines += ["", "To be seen", *_wrap(seen["text"], "  "), *_items(seen["needs"])]
     lines += [*_items([f"moves: {move}" for move in seen["moves"]])]
     rivals = [f"{other}: {'; '.join(moves)}" for other, moves in content["confused_with"].items()]
-    lines += ["", "Confused with, and what tells it apart (sgms-mhe plan makes the motion)", *_items(rivals)]
+    lines += ["", "Confused with, and the move that separates them (sgms-mhe plan makes the motion)", *_items(rivals)]
     refusals = [f"{other}: together they cancel" for other in content["excludes"]]
     if content["not_with_switching"]:
         refusals.append(f"[friction] law = switching: {content['not_with_switching']}")

@@ -312,7 +312,7 @@ def refit_numbers(final: FinalFit, found: Confirmed, *, explained: bool) -> Conf
     """The same causes with all numbers of the machine refitted, where that is better on held-out data.
 
     Where something is left that nothing accounts for, or the axis slips by another law than the file's, the machine's
-    numbers may do best at other values, and held at the file's they pass their errors on to the effects. They are no
+    numbers may do best at other values, and fixed at the file's they pass their errors on to the effects. They are no
     causes for that. `explained`: nothing is left, so that each cause has to hold; else each has to gain.
     """
     if not found.causes:

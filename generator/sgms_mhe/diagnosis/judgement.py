@@ -69,7 +69,7 @@ def judge(final: FinalFit) -> Judged:
     before, after = final.excess(plain), final.excess(best)
     judged = found.selection.causes
     allowed = allowed_excess(final.record.machine, final.floor, judged, before, _encoder_rms(final))
-    curve = after < allowed and any(_may_stand_in(group.cause) for group in judged) and _leaves_curve(final, best)
+    curve = after < allowed and any(_may_substitute(group.cause) for group in judged) and _leaves_curve(final, best)
     verdict: Verdict
     unnamed: Collection[str] = ()
     if not found.selection.causes:
@@ -97,10 +97,10 @@ def judge(final: FinalFit) -> Judged:
         found = restore_undetermined(final, found)
         over_speed = None
         if verdict == "unexplained" and _leaves_curve(final, found.selection.fit):
-            over_speed = _may_stand_in
+            over_speed = _may_substitute
         elif any(_is_any_curve(c.name) for c in found.causes):
             over_speed = _is_part_of_curve
-        found = _mark_stand_ins(found, over_speed, unnamed)
+        found = _mark_substitutes(found, over_speed, unnamed)
     log_decision(
         "verdict",
         "residual beyond noise is within what a complete explanation may leave, and no curve over speed is left",
@@ -131,7 +131,7 @@ def _without_causes(final: FinalFit, found: Confirmed, plain: Fit) -> Confirmed:
     return Confirmed(selection, blind, ())
 
 
-def _mark_stand_ins(found: Confirmed, over_speed: Callable[[str], bool] | None, unnamed: Collection[str]) -> Confirmed:
+def _mark_substitutes(found: Confirmed, over_speed: Callable[[str], bool] | None, unnamed: Collection[str]) -> Confirmed:
     """Return the causes, marked what may be a part of a curve over speed or is among the labels that are `unnamed`."""
 
     def find_part(cause: Cause) -> StandsFor:
@@ -142,7 +142,7 @@ def _mark_stand_ins(found: Confirmed, over_speed: Callable[[str], bool] | None, 
     return replace(found, causes=tuple(replace(cause, stands_for=find_part(cause)) for cause in found.causes))
 
 
-def _may_stand_in(name: str) -> bool:
+def _may_substitute(name: str) -> bool:
     """Return True if a cause beside a residual curve over speed may be a part of it: a machine's number, a curve."""
     return name in BASE_CAUSES or cause_definition(name).over_speed
 

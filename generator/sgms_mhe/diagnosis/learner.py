@@ -185,7 +185,7 @@ def _solve_terms(
 ) -> tuple[LearnedTerm, ...]:
     """Return the functions that have a force worth a table, fitted without the others.
 
-    What a spline without data says is held between the least and the largest force of its function on the data.
+    A spline without data is limited to the range between the least and the largest force of its function on the data.
     """
     least = SMALL * float(np.sqrt(np.mean(residual**2)))
     own = zip(terms, design.split(fit.b), strict=False)  # the last ones are of time

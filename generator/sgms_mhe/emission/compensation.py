@@ -51,7 +51,7 @@ class FeedForward:
             over the lag and the filtered one.
         at_end: the same to the end of the delay.
         gain_step: share that a ramp adds per sample.
-        carry: kept of a held difference from one sample to the next.
+        carry: share of the difference after standstill that remains from one sample to the next.
         limit: largest force [N], or None.
         ahead: constants of the propagation; None where elements switch, which asks for none.
     """

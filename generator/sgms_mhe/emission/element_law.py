@@ -17,9 +17,9 @@ FARTHEST = 5.0
 class ElementLaw:
     """Constants of an element's right side; exponents are powers of two of |r| and r v (docs/emission.md).
 
-    Exponents must stay in range. Either r is held within `farthest`, where the range reaches far beyond every
+    Exponents must stay in range. Either r is limited to `farthest`, where the range reaches far beyond every
     deflection there is, and the gate's velocity within `fastest`, beyond which the gate is saturated wherever the
-    window is not shut; the two clamps come doubled. Or (`farthest` is 0) both exponents are held within `deepest`,
+    window is not shut; the two clamps come doubled. Or (`farthest` is 0) both exponents are limited to `deepest`,
     where the logistic functions have reached 0 or 1 to rounding.
 
     Attributes:

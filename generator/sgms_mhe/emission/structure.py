@@ -145,7 +145,7 @@ def sparsity(expression: ca.SX, variables: ca.SX) -> np.ndarray[tuple[int, int],
 def upstream_states(model: Model, states: Sequence[int]) -> tuple[int, ...] | None:
     """The states of a block beside its first, where that is a Maxwell-slip element and they leave it its flow.
 
-    They must be effects' states that each obey a linear equation of their own: held through a step, signals then move
+    They must be effects' states that each obey a linear equation of their own: constant through a step, signals then move
     them in closed form, and the element sees the level that they reach. None where the block is of another kind.
     """
     if model.states[states[0]].element is None or any(model.states[i].element is not None for i in states[1:]):

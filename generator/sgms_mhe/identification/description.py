@@ -231,12 +231,12 @@ def mass_number(
     return Number("mass", adopted, seen.std, Rule.MASS_MOVED, {"given": given}), (choice,)
 
 
-def unknown_mass(given: float | None, stand_in: float, units: Units) -> Number:
+def unknown_mass(given: float | None, assumed: float, units: Units) -> Number:
     """Return the mass, or inertia, that is written where friction alone was recorded."""
     if given is not None:
         return Number("mass", given, math.nan, Rule.MASS_GIVEN)
     move = f"its value, before a {units.push} is read with the file"
-    return Number("mass", stand_in, math.nan, Rule.MASS_FREE, next=move)
+    return Number("mass", assumed, math.nan, Rule.MASS_FREE, next=move)
 
 
 def list_limits(

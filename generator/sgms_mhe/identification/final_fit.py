@@ -93,7 +93,7 @@ class FinalIdentification:
     Attributes:
         fit: at the full rate, of all used rows, with what the records show alone.
         cov: covariance of its numbers (p, p).
-        numbers: of the law, with deviations; those of numbers held at a default are not among them.
+        numbers: of the law, with deviations; those of numbers fixed at a default are not among them.
         mass: that the motion shows [kg]; None: it shows none.
         held_out_rms: residual of a fit of two thirds on the last third of the blocks [N].
         stated_rms: the same without errors of timing, as the file has none [N].
@@ -222,7 +222,7 @@ def state_numbers(
     numbers = add_spread(view, fit, quantities(fit, cov))
     if mass is not None and "mass" in numbers:
         mass = replace(mass, std=max(mass.std, numbers["mass"].std), spread=numbers["mass"].spread)
-    if "viscous" in dropped:  # held at 0 it would make the level look surer than it is
+    if "viscous" in dropped:  # fixed at 0 it would make the level look surer than it is
         numbers["coulomb"] = replace(numbers["coulomb"], std=wide["coulomb"].std)
     left, stated = measure_unseen(view, fit)
     rivals = {name: others for name, others in rivals.items() if fit.place(name).stop}

@@ -353,7 +353,7 @@ def covariance(view: RecordView, fit: AxisFit) -> Array:
     which it may hide. And what the encoder's steps and the samples' distance make of the numbers: the elements' way
     between them comes out too smooth at every reversal alike, which no average over blocks sees; other lines, and every
     second sample, do as much once more. And what an error of timing makes of them that is larger than sampling has any:
-    it stands for something else. 0 where a level or a coefficient is held at 0.
+    it stands for something else. 0 where a level or a coefficient is fixed at 0.
     """
     rows = view.rows
     interior = np.any(fit.jacobian != 0.0, axis=0)

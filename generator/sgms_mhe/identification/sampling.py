@@ -59,7 +59,7 @@ def common_rate(logs: Sequence[Log]) -> float:
 
 
 def unknown_axis(logs: Sequence[Log], name: str, mass: float, like: Machine | None) -> Machine:
-    """A machine with the records' rates and a stand-in for its friction, which elements of no size make up.
+    """Return a machine with the records' rates and placeholder friction of elements without size.
 
     Args:
         logs: the records, at least one.

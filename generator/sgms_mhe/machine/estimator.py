@@ -26,9 +26,9 @@ class Noise(MachineTable):
         ge=0,
         le=1e3,
     )
-    initial_state: float = quantity("prior of the first node's state, fraction of nu_i f_C", "1", 1.0, gt=0, le=1e3)
+    initial_state: float = quantity("prior of the first state, fraction of nu_i f_C", "1", 1.0, gt=0, le=1e3)
     state_as: Literal["force", "deflection"] = text(
-        "node state that the noise acts on", "force (element force) or deflection (the paper)", "force"
+        "scaling of the state that the noise acts on", "force (element force) or deflection (the paper)", "force"
     )
     colour: float = quantity(
         "mean square of a sum of so many innovations over their number, as the axis is known to leave it",

@@ -56,7 +56,7 @@ def solve_bounded(J: Array, r: Array, lower: Array, upper: Array, guess: Mask | 
 def _refine(
     J: Array, r: Array, lower: Array, upper: Array, fixed: Array, corrections: int
 ) -> tuple[Array, Mask] | None:
-    """Solve with the unknowns of `fixed` (NaN: free) held, correct the active set, and prove the answer.
+    """Solve with the unknowns of `fixed` (NaN: free) fixed, correct the active set, and prove the answer.
 
     None where an active set came back or corrections ran out.
     """

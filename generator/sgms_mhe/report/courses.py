@@ -18,7 +18,7 @@ MOST_BAND: Final = 1.5
 
 @dataclass(frozen=True)
 class Mark:
-    """A number at a place: its standard deviation, the band it is held against, whether it left it, what it says.
+    """A number at a place: its standard deviation, the band it is compared with, whether it left it, what it says.
 
     `label` is written beside it where it left its band.
     """
@@ -109,7 +109,7 @@ def _beyond(mark: Mark) -> float:
 def _bands(
     marks: Sequence[Mark], x: Callable[[float], float], y: Callable[[float], float], low: float, high: float
 ) -> str:
-    """Behind every number the band that it is held against, halfway to its neighbours."""
+    """Behind every number the band that it is compared with, halfway to its neighbours."""
     places = [x(mark.at) for mark in marks]
     parts = []
     for k, mark in enumerate(marks):

@@ -69,7 +69,7 @@ class Band:
 
 @dataclass(frozen=True)
 class FleetPoint:
-    """A number in one log, with the band that it is held against (None: none).
+    """A number in one log, with the band that it is compared with (None: none).
 
     Attributes:
         log: name.
@@ -144,7 +144,7 @@ class FleetCourse:
 
     @property
     def is_judged(self) -> bool:
-        """Return True if a log is held against a band."""
+        """Return True if a log is compared with a band."""
         return any(point.band is not None for point in self.points)
 
     @property
@@ -273,7 +273,7 @@ def _tiles(
         tile("Open", count or "0", each.partition(": ")[2] or "every result holds", "before" if doubts else ""),
         tile("Axes that stand out", f"{len(gone)}", out, "before" if gone else ""),
         tile("Numbers judged over their life", f"{lives}", f"about {0.01 * lives:.1g} changes by chance"),
-        tile("Values held against a band", f"{judged}", chance),
+        tile("Values compared with a band", f"{judged}", chance),
     ]
 
 

@@ -31,7 +31,7 @@ FILM_LAG: Final = EffectParameter(
 
 
 def longest_lag(_: Extents) -> float:
-    """The longest delay or lag of a force that an axis is held with [s]."""
+    """Return the longest delay or lag of the force to search for [s]."""
     return _LONGEST_LAG
 
 

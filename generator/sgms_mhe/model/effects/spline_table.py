@@ -4,7 +4,7 @@
 
 with a, b counted in cells from the grids' lower ends and B the cubic B-spline on the knots 0, 1, 2, 3, 4: f and two of
 its derivatives are continuous, and f falls to zero within three cells of the grid. Four splines are not zero in a cell,
-so that a value takes 4 look-ups, of two coordinates 16, whatever the table's length. The place is held to where f is
+so that a value takes 4 look-ups, of two coordinates 16, whatever the table's length. The place is limited to where f is
 not zero before it is made an index, and the table has zeros there.
 """
 
