@@ -21,7 +21,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
-from sgms_mhe.recordings.free_run import MotionRecord, run_freely
+from sgms_mhe.recordings.free_run import FreeRunRecord, run_freely
 from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.errors import InputError
@@ -121,7 +121,7 @@ def test_a_free_run_needs_the_command_alone(servo: Machine) -> None:
     fallen = run_freely(loaded, off).simulated_position_m
     assert np.abs(fallen[-100:]).max() < 0.3 < np.abs(fallen).max()
     with pytest.raises(InputError, match="goal_rad"):
-        MotionRecord(loaded, replace(log, goal_m=None))
+        FreeRunRecord(loaded, replace(log, goal_m=None))
 
 
 def test_a_voltage_or_a_duty_drives_too() -> None:

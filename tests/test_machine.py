@@ -398,12 +398,7 @@ BAD_VALUES = [
     ("name = 3", "name", "valid string"),
     # choices
     ('sampling.integrator.scheme = "rk45"', "sampling.integrator.scheme", "'rk4', 'flow' or 'clip'"),
-    ('sampling.integrator.scheme = "rk2"', "sampling.integrator.scheme", "rk4 or flow: rk2, bs23 and euler"),
-    ('sampling.integrator.scheme = "bs23"', "sampling.integrator.scheme", "rk4 or flow: rk2, bs23 and euler"),
-    ('sampling.integrator.scheme = "euler"', "sampling.integrator.scheme", "rk4 or flow: rk2, bs23 and euler"),
-    ('sampling.integrator.velocity = "linear"', "sampling.integrator.velocity", "the velocity is constant from"),
-    ('sampling.integrator.velocity = "constant"', "sampling.integrator.velocity", "substeps < rate / update_rate"),
-    ("sampling.integrator.tolerance = 1e-3", "sampling.integrator.tolerance", "displacement and slow_displacement"),
+    ('sampling.integrator.scheme = "rk2"', "sampling.integrator.scheme", "'rk4', 'flow' or 'clip'"),
     ('estimator.kind = "ukf"', "estimator.kind", "'mhe' or 'ekf'"),
     ('estimator.relinearise = "some"', "estimator.relinearise", "'all', 'auto' or 'newest'"),
     ('estimator.arrival_cost.update = "kalman"', "estimator.arrival_cost.update", "'riccati' or 'fixed'"),
@@ -414,6 +409,7 @@ BAD_VALUES = [
     ("plants.mass = 20.0", "plants", "did you mean plant?"),
     ("friction.smoothing.lambda_ = 35.0", "friction.smoothing.lambda_", "did you mean lambda?"),
     ("sampling.integrator.steps = 5", "sampling.integrator.steps", "scheme, substeps, displacement, slow_displacement"),
+    ('sampling.integrator.velocity = "linear"', "sampling.integrator.velocity", "scheme, substeps, displacement"),
     ("estimator.noise.sigma = 0.5", "estimator.noise.sigma", "measurement, state"),
     ("colour = 3", "colour", "extends"),
     # between keys

@@ -57,8 +57,8 @@ def test_no_deviation_is_wider_than_a_numbers_range(value: float, std: float, up
     assert not number.determined and number.rule is Rule.STAND_IN
 
 
-def test_flicker_at_rest_is_no_motion_of_a_stand_in() -> None:
-    """An assumed stiffness is no stiffer than a count shows; readings within a step move neither friction nor parameters."""
+def test_flicker_at_rest_is_no_motion_of_a_placeholder() -> None:
+    """A placeholder is no stiffer than a count shows; measurements within a step move no friction or parameter."""
     rate, random = 500.0, np.random.default_rng(4)
 
     def torque(a: Array, v: Array, _: Array) -> Array:

@@ -18,7 +18,6 @@ Functions, each with arguments, shapes, units and errors in its own help, as `he
     export       the axis for another simulator
 
 Example:
-
     import sgms_mhe
 
     machine = sgms_mhe.load("etel_xy")

@@ -1,4 +1,4 @@
-"""Command line `sgms-mhe`: the table of commands, exit codes, and what an error or an interrupt looks like.
+"""Command line `sgms-mhe`: the table of commands, exit codes, and the form of errors and interrupts.
 
 Results go to stdout, messages and progress to stderr. Exit codes: 0 done, 1 done and the answer is no, 2 bad input, 130
 and 143 interrupted. Every command is a module of its own, in `commands` or in a distribution that adds it, imported

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_bench import C_DIR
-from sgms_mhe.host.compiled import CompiledEstimator, Replay
+from sgms_mhe.host.compiled import CompiledEstimator, ReplayedUpdates
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.native import COMPENSATION, NativeCompensation
 from sgms_mhe.signals.estimates import Estimates
@@ -94,6 +94,6 @@ class LoopCompensation:
     def estimates(self, log: Log) -> Estimates:
         """Return the estimates at the updates, once the run that left `log` is over."""
         done = int(self._loop.updates)
-        run = Replay(self._rows[:done], self._status[:done].astype(np.int64), self.force_N)
+        run = ReplayedUpdates(self._rows[:done], self._status[:done].astype(np.int64), self.force_N)
         samples = self._estimator.machine.sampling.samples_per_update
         return self._estimator.estimates_of(run, log.time_s[samples::samples])

@@ -26,11 +26,11 @@ def diagnose(
     note: Note | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Say what the simulation of a machine gets wrong along a log, name the cause, and measure what naming it gains.
+    """Find the errors of a machine's simulation along a log, name the causes, and measure the gain of naming them.
 
     Args:
         machine: file, name, or loaded: the axis as it is believed to be.
-        log: file, Log or DataFrame: what was measured. Of several, records of one axis, the first is diagnosed,
+        log: measurements as file, Log or DataFrame. Of several, records of one axis, the first is diagnosed,
             and all as one where that leaves something; the numbers are fitted to all, each is judged by the others.
         held_out_s: intervals since the log's start [s] that no fit behind a reported gain sees; None: a third of the
             record, in blocks.
@@ -40,7 +40,7 @@ def diagnose(
         progress: called with each step and the share of the work before it; None: the logger `sgms_mhe.progress` is.
 
     Returns:
-        Verdict, causes with parameters and deviations, rivals, what the record cannot decide, the extended machine.
+        Verdict, causes with parameters and deviations, rivals, questions left open by the record, the extended machine.
 
     Raises:
         InputError: machine or log; an ImplausibleError where the log's sign, scale or unit cannot be meant.

@@ -102,8 +102,8 @@ def find_origin(
 ) -> Origin:
     """Find the position that a machine's forces over place count from, along a first stretch of motion.
 
-    After a power-up an axis that is not homed counts its positions from another place. What this returns as
-    `position_m` is what `NAME_set_origin` takes; a log with that subtracted from its positions is one of the homed
+    After a power-up an axis that is not homed counts its positions from another place. The returned
+    `position_m` is the argument of `NAME_set_origin`; a log with that subtracted from its positions is one of the homed
     axis. Offset, Coulomb level and damping of the log are its own. Not determined where the log tells nothing of the
     place, or several origins fit it as well.
 

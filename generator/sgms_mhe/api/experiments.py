@@ -18,12 +18,12 @@ def plan(
     separate: Annotated[tuple[str, str] | None, Option("A B")] = None,
     open_in: Annotated[Path | None, Option("FILE.json", name="--open")] = None,
 ) -> MotionPlan:
-    """Make the reference trajectory that separates two causes, shows what a result left open, or excites every effect.
+    """Make the reference trajectory that separates two causes, answers open questions, or excites every effect.
 
     Args:
         machine: file, name, or loaded.
         separate: two causes by name; None: a motion that excites every effect.
-        open_in: statements of start, identify --json or diagnose; the motion is for what they leave open.
+        open_in: statements of start, identify --json or diagnose; the motion answers their open questions.
 
     Returns:
         The trajectory and the reason for it.
@@ -43,6 +43,6 @@ def effects(kind: Kind | None = None) -> dict[str, EffectDefinition]:
         kind: of axis, linear or rotary; None: both.
 
     Returns:
-        By name what each is, its parameters with units, and what a log must hold to show it.
+        By name the meaning of each, its parameters with units, and the excitation needed in a log.
     """
     return {name: effect_definition(name) for name in effect_names(kind)}

@@ -38,7 +38,7 @@ class ExportedAxis(Shown):
         machine: whose axis it is.
         form: name of the form.
         content: of the file; `text` where it is no archive.
-        holds, lost: sentences on what of the axis is in it, and what is not.
+        holds, lost: sentences on the parts of the axis in the form, and the missing ones.
         error: that the form makes along a log, with each force that is lost; None without a log, or where none is.
         missing: why an FMU has no binary; None where it has one, or needs none.
     """
@@ -93,7 +93,7 @@ def export(
         note: called with each sentence on how the log was read.
 
     Returns:
-        The file's content, what it holds and what is lost, and that error.
+        The file's content, the parts of the axis it holds, the lost ones, and that error.
 
     Raises:
         InputError: the machine file, the form, the file's name, or the log.

@@ -84,7 +84,7 @@ def survey(
         logs, name, mass, inertia, table, note, progress: as of `identify`.
 
     Returns:
-        Statements on sign, mass, friction, constant force and noise, and on what is open.
+        Statements on sign, mass, friction, constant force and noise, and on open questions.
 
     Raises:
         InputError: as `identify`; a log that is of no such axis.

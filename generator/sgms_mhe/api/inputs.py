@@ -44,7 +44,7 @@ def load(machine: str | Path | Machine) -> Machine:
         machine: path of the file, or the name of one in `machines/`; a machine that was loaded is returned as it is.
 
     Raises:
-        InputError: whatever is wrong with the file: names it, the key, the value and what is allowed.
+        InputError: whatever is wrong with the file: names it, the key, the value and the allowed ones.
     """
     return machine if isinstance(machine, Machine) else load_machine(machine)
 
@@ -75,7 +75,7 @@ def read_log(
         start_s, end_s: part of it [s since the first sample].
         rate: samples per second [Hz], where no column says the time.
         table: content of a table `[log]`, laid over that of the machine: `{"rate": 1000.0}`.
-        note: called with each sentence on what was left out or changed; None: they are `LogWarning`s.
+        note: called with each sentence on omitted or changed data; None: they are `LogWarning`s.
 
     Raises:
         InputError: it cannot be read, is of another kind of axis or rate than the machine, or time is not uniform.
@@ -139,7 +139,7 @@ def recorded_log(
     `commanded`: it may have no force, but a command; `driven`: its force is then that which the machine's drive made.
 
     Raises:
-        InputError: as read_log does; an ImplausibleError where its columns cannot be what they are called.
+        InputError: as read_log does; an ImplausibleError where its columns contradict their names.
     """
     found = read_log(log, machine, note=note)
     if found.is_commanded and commanded:

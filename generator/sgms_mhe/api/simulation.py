@@ -46,7 +46,7 @@ def simulate(
         force_noise_N: one standard deviation of the logged force [N, N m].
         encoder_resolution_m: step of the encoder [m, rad]; 0: none.
         seed: seed of the noise: the same seed, the same log.
-        truth: keep what no sensor sees.
+        truth: keep the quantities seen by no sensor.
 
     Returns:
         The log, one row per sample, and the truth where it was asked for.

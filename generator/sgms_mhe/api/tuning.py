@@ -32,7 +32,7 @@ def tune(
         progress: called with each step; None: the logger `sgms_mhe.progress` is.
 
     Returns:
-        What was tried, and `changes()`, the content of a machine file that extends the machine.
+        The trials, and `changes()`, the content of a machine file that extends the machine.
 
     Raises:
         InputError: machine or log; too few updates in motion.

@@ -1,4 +1,4 @@
-"""An estimator along a log that is replayed, or that grows: its updates as they come, and what they have come to."""
+"""An estimator along a log that is replayed, or that grows: its updates one by one, and their summary."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class SampleSource(ABC):
 
     Attributes:
         ended: why no more come, in words; empty while they may.
-        remarks: sentences on what was left out.
+        remarks: sentences on omitted data.
     """
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class SampleSource(ABC):
             stopped: whether nobody wants more.
 
         Raises:
-            InputError: what comes is no log of the machine; all samples before it were yielded.
+            InputError: the data are no log of the machine; all samples before it were yielded.
         """
 
 
@@ -230,7 +230,7 @@ class Streamed(_Growing):
 
     Args:
         stream: to read from.
-        path: what messages call it.
+        path: name in messages.
         machine: whose axis leaves the log.
         idle_s: without a new line after which it has ended [s].
         clock: by which that is measured.
@@ -258,8 +258,8 @@ class Watch:
         machine: as it was loaded.
 
     Attributes:
-        course: what the updates have come to.
-        doubts: sentences on stretches whose columns cannot be what they are called; of logs that come in pieces.
+        course: summary of the updates.
+        doubts: sentences on stretches whose columns contradict their names; of logs that come in pieces.
 
     Raises:
         BuildError: the C compiler refused.
@@ -310,7 +310,7 @@ class Watch:
         return self._chain.take(log)
 
     def judge(self) -> None:
-        """Hold the newest stretch of samples against what this axis can have left.
+        """Check the newest stretch of samples for values implausible of this axis.
 
         One without motion tells nothing, nor does a short rest behind others.
         """

@@ -19,7 +19,7 @@ LONGEST_LIST: Final = 8
 def command(machine: Machine, *, json: bool = False) -> None:
     """Check MACHINE and print it resolved.
 
-    Resolved are `extends`, defaults, and what follows from them. A machine that passes can be generated.
+    Resolved are `extends`, defaults, and derived values. A machine that passes can be generated.
     """
     from sgms_mhe.emission.package import emit_package
 

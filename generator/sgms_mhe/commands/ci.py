@@ -25,8 +25,9 @@ def command(
     """Check machine files, their packages and compilers.
 
     MACHINES are files or names; by default all files of machines/. Of each: the file is valid and its work within the
-    budget; the generated package is what the file gives, byte for byte; compiled C and reference agree on a simulated
-    log; the package's self-test passes on this host with $CC and every warning an error, and on emulated targets.
+    budget; the generated package equals the emission of the file, byte for byte; compiled C and reference agree on a
+    simulated log; the package's self-test passes on this host with $CC and every warning an error, and on emulated
+    targets.
 
     Exit code 1 where a check fails.
 

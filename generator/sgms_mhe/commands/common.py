@@ -39,7 +39,7 @@ def recorded_log(path: Path, machine: Machine, *, commanded: bool = False, drive
     """Read a log that an axis of this machine can have left; `commanded`, `driven`: as `inputs.recorded_log` has them.
 
     Raises:
-        InputError: it cannot be read, or its columns cannot be what they are called.
+        InputError: it cannot be read, or its columns contradict their names.
     """
     from sgms_mhe.api import inputs
 
@@ -53,7 +53,7 @@ def check_output_file(path: Path, suffixes: Sequence[str] = ()) -> None:
     """Refuse an output file that could not be written at the end: its folder must exist and take a file.
 
     Raises:
-        InputError: names the path and what is allowed.
+        InputError: names the path and the allowed forms.
     """
     if path.is_dir():
         raise InputError(path, "output file", None, "a file; this is a folder")
@@ -71,7 +71,7 @@ def check_output_folder(path: Path) -> None:
     """Refuse an output folder that cannot be made or written to. Makes nothing itself.
 
     Raises:
-        InputError: names the path and what is allowed.
+        InputError: names the path and the allowed forms.
     """
     folder = path.resolve()
     while not folder.exists():
@@ -190,7 +190,7 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 @contextmanager
 def steps_bar(elsewhere: Callable[[str], None] | None = None) -> Iterator[Callable[[str, float], None]]:
-    """A bar with time left, where stderr is a terminal; yields what reports (step, share of the work before it).
+    """A bar with time left, where stderr is a terminal; yields a function of (step, share of the work before it).
 
     Args:
         elsewhere: called with each step where nobody watches.
@@ -207,7 +207,7 @@ def steps_bar(elsewhere: Callable[[str], None] | None = None) -> Iterator[Callab
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
-    """A bar on stderr where that is a terminal; yields what reports (steps done, steps in all) to it."""
+    """A bar on stderr where that is a terminal; yields a function of (steps done, steps in all)."""
     # Even where nothing is shown, work that reports returns to the interpreter and can be interrupted.
     with _bar(label) as move:
 
@@ -220,7 +220,7 @@ def progress_bar(label: str) -> Iterator[Progress]:
 
 @contextmanager
 def _bar(label: str = "") -> Iterator[Callable[[str, float, str], None]]:
-    """A bar that goes when it is done; yields what takes the step, its share, and a line for where nobody watches."""
+    """A bar that goes when it is done; yields a function of step, share, and a line for other streams."""
     if not _is_watched():
         with _sparse_lines() as say:
             yield lambda step, share, line: say(line)
@@ -247,7 +247,7 @@ def step_notes() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _sparse_lines() -> Iterator[Callable[[str], None]]:
-    """Yield what takes the present step, which is printed on stderr every `LINE_S`, but where --quiet was given."""
+    """Yield a function of the present step, which is printed on stderr every `LINE_S`, but where --quiet was given."""
     began, ended, steps, quiet = time.monotonic(), threading.Event(), [""], is_quiet()
 
     def show_steps() -> None:
@@ -265,10 +265,10 @@ def _sparse_lines() -> Iterator[Callable[[str], None]]:
 
 
 class AwakeClock:
-    """Seconds that a run has been awake, for what looks at it a few times a second.
+    """Seconds that a run has been awake, for a display polled a few times a second.
 
     Between two looks no more than `LONGEST_LOOK_S` have passed: a host that slept, or a process that was stopped, did
-    nothing meanwhile, and the time left is told by what is done while they run.
+    nothing meanwhile, and the remaining time follows from the work done while they run.
 
     Args:
         clock: seconds since some moment.

@@ -102,7 +102,7 @@ def command(
 
 
 def _say_implausible(error: ImplausibleError, machine: Machine, log: Log, folder: Path, as_json: bool) -> None:
-    """The verdict on a log whose columns cannot be what they are called: nothing is fitted to it."""
+    """The verdict on a log whose columns contradict their names: nothing is fitted to it."""
     from sgms_mhe.diagnosis import write_refusal
     from sgms_mhe.report import write_unread_page
 
@@ -112,7 +112,7 @@ def _say_implausible(error: ImplausibleError, machine: Machine, log: Log, folder
 
 
 def _gain(gain: EstimatorGain) -> dict[str, object]:
-    """Error of the friction that both estimators predict, and by what share it falls, with the 95 % interval."""
+    """Error of the friction that both estimators predict, and the share by which it falls, with the 95 % interval."""
     return {
         "log": gain.source,
         "predicted_rms_N": {"before": gain.base.predicted_rms_N, "after": gain.extended.predicted_rms_N},

@@ -22,7 +22,7 @@ COLUMNS: Final = 100
 def command(name: str | None = None, *, json: bool = False) -> None:
     """List the effects of an axis beyond friction.
 
-    Of the one called NAME: its parameters, what a log must hold to show it, the causes that look alike with the move
+    Of the one called NAME: its parameters, the excitation needed in a log, the causes that look alike with the move
     that distinguishes each, and the entry of a machine file, ready to be pasted.
     """
     from sgms_mhe.model.effects import effect_definition, effect_names

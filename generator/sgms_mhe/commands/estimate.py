@@ -97,7 +97,7 @@ def note_wrong_priors(machine: Machine, estimates: Estimates) -> None:
 
 
 def note_doubt(estimates: Estimates) -> None:
-    """Say that the measurements contradict the model, and what to do then."""
+    """Say that the measurements contradict the model, and the remedy."""
     from sgms_mhe.signals.status import MOST_DOUBT, measure_doubt
 
     share = measure_doubt(estimates.status)

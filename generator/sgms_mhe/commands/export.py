@@ -33,9 +33,9 @@ def command(
 ) -> None:
     """Write MACHINE's axis for another simulator, or its friction for a drive.
 
-    Says what the form holds and what is lost. With --log also the error that a simpler form makes: its friction minus
-    that of MACHINE's own model along the motion in LOG, and the part of it that each lost force has. Without --to that
-    error of every form.
+    Lists the parts of the axis in the form, and the lost ones. With --log also the error that a simpler form makes:
+    its friction minus that of MACHINE's own model along the motion in LOG, and the part of it that each lost force
+    has. Without --to that error of every form.
 
     Args:
         log: log along which the error of a simpler form, and each force that it loses, is measured.

@@ -13,7 +13,7 @@ from sgms_mhe.support.files import atomic_write
 class GrowingEstimates:
     """The file of estimates that `estimate` writes, of whole lines at any time.
 
-    It takes its place with the first update; what is no regular file is written as it goes.
+    It takes its place with the first update; an irregular file is written directly.
     """
 
     def __init__(self, path: Path) -> None:
@@ -25,7 +25,7 @@ class GrowingEstimates:
         """Write rows.
 
         Raises:
-            InputError: the file cannot be written; what was there before stays, in whole lines.
+            InputError: the file cannot be written; earlier content stays, in whole lines.
         """
         if not len(estimates):
             return

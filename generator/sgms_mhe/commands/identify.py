@@ -42,9 +42,9 @@ def command(
 ) -> None:
     """Write a machine file from measurements alone.
 
-    No starting values are asked for. Prints what the logs determine, with intervals of two standard deviations, and
-    what they do not, with the move that would. Logs without a force, but with a command, tell what the command does:
-    runs of servos that state load, gain and supply alone, others with the [drive] of --like.
+    No starting values are asked for. Prints the numbers determined by the logs, with intervals of two standard
+    deviations, and the others, with the move needed for each. Logs without a force, but with a command, show the
+    effect of the command: runs of servos that state load, gain and supply alone, others with the [drive] of --like.
 
     Args:
         out: the machine file to write; its stem is the machine's name.

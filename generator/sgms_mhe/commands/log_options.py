@@ -1,4 +1,4 @@
-"""Options by which every command that reads logs is told what a log leaves open: a table `[log]`, or flags."""
+"""Options by which every command that reads logs gets the keys missing in a log: a table `[log]`, or flags."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def log_table(
 
 
 def load_for_log(machine: str, table: Mapping[str, Any]) -> Machine:
-    """Load a machine, its table [log] with what options say of its logs laid over it. Raises InputError."""
+    """Load a machine, its table [log] overridden by the options on its logs. Raises InputError."""
     from sgms_mhe.configuration import load_machine, override_log
 
     return override_log(load_machine(machine), table)

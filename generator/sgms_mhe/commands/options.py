@@ -40,7 +40,7 @@ class RangedNumber(click.FloatRange):
         self._infinite = option.infinite
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number of a text; refuses what is none, and NaN, which lies outside no range."""
+        """The number of a text; refuses other texts, and NaN, which lies outside no range."""
         if self._infinite and value in (self._infinite, math.inf):
             return math.inf
         number = super().convert(value, param, ctx)
@@ -82,7 +82,7 @@ def make_command(*examples: str, of: str = "") -> Callable[[Function], click.Com
     """Make a command of a function.
 
     An option that is not given does not reach the function: its own default holds. `machine` comes loaded. With an
-    argument `log`, or a parameter `log_table`, the command also has the options that say what a log leaves open; they
+    argument `log`, or a parameter `log_table`, the command also has the options on keys missing in a log; they
     are laid over the machine's table `[log]`, and are the value of `log_table`.
 
     Args:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     of="experiments.plan",
 )
 def command(machine: Machine, *, out: Path | None = None, **options: Any) -> None:
-    """Find the motion that distinguishes two causes on MACHINE, or shows what a result left open.
+    """Find the motion that distinguishes two causes on MACHINE, or answers the questions left open by a result.
 
     Writes it as a reference trajectory, which `simulate --trajectory` takes.
 

@@ -50,9 +50,9 @@ def command(
     With --find-origin the log's positions count from the origin that is found; exit code 1 where it is not determined,
     and they count as they are.
 
-    With --free-run the model moves by the logged force alone, or by the command where [drive] says what it does, from
-    the first samples of the part that is compared and anew after every gap: error, drift, and the time for which it
-    stays near the measured motion. Of a log without a force this is all.
+    With --free-run the model moves by the logged force alone, or by the command where [drive] describes its effect,
+    from the first samples of the part that is compared and anew after every gap: error, drift, and the time for which
+    it stays near the measured motion. Of a log without a force this is all.
 
     Args:
         out: CSV to write: time_s, friction_measured_N, friction_N (of a rotary axis _Nm) at every sample.

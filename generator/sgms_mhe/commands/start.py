@@ -40,10 +40,11 @@ def command(
     """Take a first look at LOG, or begin a machine file without one.
 
     Of logs it states, within seconds and on one page: sign of the force, units, mass, constant force, friction,
-    noise, what is open and the next motion to record; identify then searches for the law of friction. The page is
-    LOG's name and _start.html, its statements _start.json. Without a log it writes what is known of the axis; mass and
-    rate are asked for where they are not given, if there is a terminal. Of an axis that turns all is in rad and N m.
-    The first line of a machine file names the schema by which editors check it, written beside it where there is none.
+    noise, open questions and the next motion to record; identify then searches for the law of friction. The page is
+    LOG's name and _start.html, its statements _start.json. Without a log it writes the known numbers of the axis; mass
+    and rate are asked for where they are not given, if there is a terminal. Of an axis that turns all is in rad and N
+    m. The first line of a machine file names the schema by which editors check it, written beside it where there is
+    none.
 
     Args:
         out: the machine file to write; its stem is the machine's name. Without a log it must be given.

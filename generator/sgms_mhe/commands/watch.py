@@ -139,7 +139,7 @@ def command(
 def _source(
     log: Path, machine: Machine, idle_s: float, speed: float, clock: HostClock, *, follow: bool
 ) -> SampleSource:
-    """Where the samples come from. Raises InputError for what cannot be read, or followed."""
+    """Where the samples come from. Raises InputError for an unreadable source."""
     from sgms_mhe.api import watching
 
     if str(log) == "-":
@@ -187,7 +187,7 @@ def _exit_code(interrupt: Interrupt, watch: Watch, error: InputError | None, nam
     """Return the exit code of a run.
 
     Raises:
-        InputError: what ended the run, or that there was no update.
+        InputError: the cause that ended the run, or that there was no update.
     """
     if error is not None:
         raise error

@@ -52,7 +52,7 @@ MOST_ENTRIES: Final = 268
 def load_machine(machine: str | Path) -> Machine:
     """Read a machine file, given by path or by its bare name in a `machines` folder.
 
-    Raises InputError (file, dotted key, value, what is allowed) for everything that is wrong with it.
+    Raises InputError (file, dotted key, value, allowed values) for everything that is wrong with it.
     """
     return _resolve(read_machine_file(machine))
 
@@ -82,7 +82,7 @@ def carry_load(machine: Machine, run: Mapping[str, float]) -> Machine:
 
 
 def drop_disturbance(machine: Machine) -> Machine:
-    """Return the machine whose errors are none: what the estimator takes out of them is no number of the file."""
+    """Return the machine whose errors are none: the estimator's correction of them is no number of the file."""
     if machine.estimator.disturbance == Disturbance():
         return machine
     estimator = {key: value for key, value in machine.content["estimator"].items() if key != "disturbance"}
@@ -98,7 +98,7 @@ def step_every_sample(machine: Machine) -> Machine:
 
 
 def override_log(machine: Machine, stated: Mapping[str, Any]) -> Machine:
-    """The machine with what is stated of its logs laid over its table [log]; bare columns of its own kind alone."""
+    """The machine with stated keys of its logs laid over its table [log]; bare columns of its own kind alone."""
     if not stated:
         return machine
     other = {key for key in set(BY_COLUMN) & set(stated) if machine.plant.kind not in kinds_of(key)}
@@ -158,7 +158,7 @@ def _add_uncertain_mass(estimator: Estimator, effects: tuple[ResolvedEffect, ...
 
 
 def _estimate_mass(estimator: Estimator, plant: Plant) -> Estimator:
-    """The estimator with the mass among what it estimates, where it is uncertain; a prior that is stated stays."""
+    """The estimator with the mass among its parameters, where it is uncertain; a stated prior stays."""
     if estimator.disturbance.inertia == 0.0:
         return estimator
     key = ".".join(mass_effect())
@@ -226,7 +226,7 @@ def _is_within(number: float, parameter: EffectParameter) -> bool:
 
 
 def _estimator(written: Estimator, names: Mapping[str, str]) -> Estimator:
-    """The estimator with what it estimates by the catalogue's names."""
+    """The estimator with its parameters under the catalogue's names."""
     prior = {names[name]: deviation for name, deviation in written.prior.items()}
     bounds = {names[name]: pair for name, pair in written.bounds.items()}
     parameters = tuple(names[name] for name in written.parameters)
@@ -234,7 +234,7 @@ def _estimator(written: Estimator, names: Mapping[str, str]) -> Estimator:
 
 
 def _check_names(file: MachineFile, names: Collection[str]) -> None:
-    """Refuse parameters, priors and bounds of what cannot be estimated."""
+    """Refuse parameters, priors and bounds of numbers outside the estimable ones."""
     estimator = file.tables.estimator
     for index, name in enumerate(estimator.parameters):
         where = ("estimator", "parameters", index)
@@ -264,7 +264,7 @@ def _sampling(file: MachineFile) -> Sampling:
 
 
 def _clipping(file: MachineFile) -> Integrator:
-    """The integrator of elements that switch: exact, so that there is nothing to choose but what samples merge."""
+    """The integrator of elements that switch: exact, so that the merged samples are the only choice."""
     integrator = file.tables.sampling.integrator
     given = {key: getattr(integrator, key) for key in integrator.model_fields_set}
     if given.get("scheme", "clip") != "clip":

@@ -37,7 +37,7 @@ MIDDLE: Final = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0]) / 256.0
 def decimate(subject: Subject) -> Subject:
     """The same record with the mean signals of as many samples as a step of the search may share.
 
-    Means keep displacements exact. What else a longer step changes, `align` takes out.
+    Means keep displacements exact. `align` takes out all other changes by a longer step.
     """
     recording, factor = subject.recording, _samples_per_step(subject.recording)
     if factor == 1:
@@ -72,7 +72,7 @@ def decimate(subject: Subject) -> Subject:
 def _samples_per_step(recording: Recording) -> int:
     """Return the samples that share a step: the most, dividing those of a row, that keep at least RATE_MAX.
 
-    Alignment takes out what a longer step changes.
+    Alignment takes out the changes by a longer step.
     """
     rate, factor = recording.machine.sampling.rate, recording.factor
     return max(k for k in range(1, factor + 1) if k == 1 or (factor % k == 0 and rate / k >= RATE_MAX))
@@ -127,7 +127,7 @@ def align(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
 def find_residual(whole: Subject, fit: Fit, sampled: Array) -> Array:
     """Measured minus simulated friction (m) [N] along a whole record, of a fit to parts of it.
 
-    `sampled` (2): what the alignment there found of the sampling.
+    `sampled` (2): coefficients of the sampling found by the alignment there.
     """
     exact = whole.friction(fit)
     later = find_step_error(whole, fit) + find_chain_error(whole, fit)
@@ -136,7 +136,7 @@ def find_residual(whole: Subject, fit: Fit, sampled: Array) -> Array:
 
 
 def _fit_sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, timed: bool) -> Array:
-    """Coefficients of the sampling columns (2) in what a residual (m) owes to the sampling of force and position alone.
+    """Coefficients of the sampling columns (2) in the part of a residual (m) due to sampling alone.
 
     Proportional to the force's rate: force and position up to TIMING of a sample apart. Proportional to the second
     derivative of the inertial force: its second difference over a sample h is low by h^2 / 12 of that, against a force
@@ -181,11 +181,11 @@ def find_sampling_columns(whole: Subject, friction: Array) -> Array:
 def find_step_error(whole: Subject, fit: Fit) -> Array:
     """Return the change of a model's friction (m) [N] by a vanishing step, to be added to it.
 
-    The chain's velocity is a mean over a sample: that is what displacements need, but as a speed it is half a sample
+    The chain's velocity is a mean over a sample: displacements need exactly this, but as a speed it is half a sample
     old. A force is sampled in a point, so viscous friction shows an acceleration h / 2 more of it, which looks like a
     mass of sigma_v h / 2; and an element that sticks while the axis brakes keeps the level of half a sample ago until
-    it slides again. Both are proportional to the step, as is what else a model that is held over it gets wrong: twice
-    what half the step changes (Richardson's extrapolation). What rings is left out: about as fast as a sample, it is
+    it slides again. Both are proportional to the step, as is every other error of a model held over it: twice
+    the change by half the step (Richardson's extrapolation). Ringing is left out: about as fast as a sample, it is
     no series in the step.
     """
     m, factor = len(whole.recording.time), whole.recording.factor
@@ -207,7 +207,7 @@ def find_chain_error(whole: Subject, fit: Fit) -> Array:
     """Return the change of a model's friction (m) [N] where its force passes the chain, not its motion.
 
     Measured friction has passed the low-passes. A model along the filtered motion turns round and breaks away as late
-    as they smear a reversal: with a cutoff of 25 Hz that is a tenth of the friction. What rings is left out. A record
+    as they smear a reversal: with a cutoff of 25 Hz that is a tenth of the friction. Ringing is left out. A record
     in which it does not matter (`is_smeared`) is spared it: the motion before the chain is noisier.
     """
     recording, still = whole.recording, _drop_ringing(fit)
@@ -257,7 +257,7 @@ def _friction_before_chain(whole: Subject, fit: Fit, motion: Array) -> Array:
 
 
 def compile_half_steps(whole: Subject, fit: Fit) -> None:
-    """Compile what `find_step_error` runs, while something else is done."""
+    """Compile the models of `find_step_error` in the background."""
     machine = _double_rate(whole.machine)
     if machine is not None:
         Subject.of(machine, whole.recording).model(fit.effects)
@@ -278,7 +278,7 @@ def _part(whole: Subject, rows: slice) -> Subject:
 
 
 def _make_uncounted(machine: Machine, signals: Signals, clock: Array, factor: int) -> Recording:
-    """A record none of whose rows counts: what a model makes of them is compared with nothing."""
+    """A record none of whose rows counts: no prediction of a model is compared with them."""
     unused = np.full(len(signals) // factor, -1, dtype=np.int64)
     none, nowhere = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
     return reduce_signals(machine, signals, clock, factor, unused, none, nowhere, ())
@@ -352,7 +352,7 @@ def sampling_offset(diagnosis: Diagnosis) -> float:
     """Return the age [s] of the logged force by a named delay or lag that is of the sampling; 0: none.
 
     A drive that holds its force over a sample logs one that is half a sample old on average, or half a sample young
-    (below zero), depending on when it writes it down. What is less than that and a margin says nothing about the axis.
+    (below zero), depending on when it writes it down. A smaller shift, with a margin, says nothing about the axis.
     """
     machine = diagnosis.machine
     most = TIMING_MOST * machine.sampling.step
@@ -370,7 +370,7 @@ def sampling_offset(diagnosis: Diagnosis) -> float:
 def in_step(log: Log, offset: float) -> Log:
     """The log with its force that time [s] younger.
 
-    What the controller computed itself stays. Samples next to gaps are missing.
+    Values computed by the controller itself stay. Samples next to gaps are missing.
     """
     return replace(log, force_N=Shift.of(-offset, log.rate).of_series(log.force_N))
 

@@ -76,7 +76,7 @@ def begin_from_record(
     """Return the numbers of the record where they refute the file's; None where the file's are a beginning.
 
     They are identified only where the file's are far from those of a convex fit: of a file that is not, a diagnosis
-    finds what is wrong.
+    finds the errors.
 
     Args:
         recording: decimated samples of the log.
@@ -143,7 +143,7 @@ def _resolved_friction(explored: Explored, file: Machine) -> dict[str, Any]:
 
 
 def distance(numbers: Sequence[RefutedNumber], speed: float) -> float:
-    """Sum of what lies between a file's numbers and those of a record, beyond two deviations of these [1].
+    """Sum of the differences between a file's numbers and those of a record, beyond two deviations of these [1].
 
     Logarithms of the ratios of level, break-away distance and mass; of damping, which may be 0, the change of the mean
     force over the level.

@@ -1,7 +1,7 @@
 """The search: for every effect of the catalogue the force that it would add, and the sizes that fit it best.
 
 How an effect is looked for stands in its definition; here are the engines. Everything that the free parameters of the
-model explain is projected out first. What comes out is where a refit of the effect's own definition starts; nothing is
+model explain is projected out first. The result is the start of a refit of the effect's own definition; nothing is
 decided on these columns alone.
 """
 
@@ -68,7 +68,7 @@ def search(subject: Subject, fit: Fit, names: Sequence[str], free: Nuisance) -> 
 
 
 def _place_by_duration(kind: Search) -> int:
-    """Place of a search in an order that begins with the longest: maps, then what needs a model compiled."""
+    """Place of a search in an order that begins with the longest: maps, then candidates with a compiled model."""
     if isinstance(kind, Periodic):
         return 0
     compiles = isinstance(kind, Derivative | Trials) or (isinstance(kind, Columns) and kind.exact is not None)
@@ -115,7 +115,7 @@ def _search_columns(definition: EffectDefinition, kind: Columns, seen: Residual)
 
 
 class _BestTrial:
-    """The trial that explains most, of those that explain anything: what was given, and its columns (rows, k)."""
+    """The trial that explains most, of those that explain anything, and its columns (rows, k)."""
 
     def __init__(self) -> None:
         self.given: Mapping[str, float] = {}
@@ -139,7 +139,7 @@ def _agreement(found: float, wanted: float) -> float:
 
 
 def _search_step(definition: EffectDefinition, kind: Step, seen: Residual) -> Proposal | None:
-    """All instants at once: sums over what follows each of them."""
+    """All instants at once: sums over the rows after each of them."""
     e = seen.e
     time = seen.motion.time[seen.recording.used]
     after = np.arange(len(time), 0, -1.0)
@@ -225,8 +225,8 @@ def _search_trials(
 ) -> Proposal | None:
     """Run the effect's own model at a few sizes; its column is the change of the force.
 
-    A number of the machine that the fit drove to its bound may be what the effect acts on: no lag shows in a Stribeck
-    effect of none. In the trials it is what the file says.
+    A number of the machine that the fit drove to its bound may be the one the effect acts on: no lag shows in a
+    Stribeck effect of none. In the trials it has the file's value.
     """
     choose_rate = subject.choose_rate(fit.effects)
     here = replace(seen, recording=choose_rate.recording)

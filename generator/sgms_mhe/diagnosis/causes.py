@@ -155,7 +155,7 @@ class Confirmed:
 
 
 def confirm_causes(final: FinalFit, selection: Selection) -> Confirmed:
-    """The causes that hold on held-out data; what does not is taken out, the weakest first."""
+    """The causes that hold on held-out data; the others are taken out, the weakest first."""
     while selection.causes:
         fit = selection.fit
         blind = fit_model(final.subject, fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
@@ -248,8 +248,8 @@ def keep_predictive(final: FinalFit, selection: Selection) -> Confirmed:
     """The causes without which more is left on held-out data; the weakest of the others is taken out first.
 
     For where something is left that no cause accounts for: the machine that predicts best, whether its causes have
-    names (`find_nameless`) or not. What hangs on time has to be sure, and all else the same all over the record: what
-    is left may be a force that wanders, which such causes take the form of; and they predict no other record. A number
+    names (`find_nameless`) or not. A cause in time has to be sure, and every other constant over the record: a force
+    that wanders may be left, which such causes take the form of; and they predict no other record. A number
     of the machine without a name stays refitted, but is not listed.
     """
     for group in selection.causes:
@@ -385,7 +385,7 @@ def restore_undetermined(final: FinalFit, found: Confirmed) -> Confirmed:
 def _find_undetermined(final: FinalFit, found: Confirmed) -> list[ParameterGroup]:
     """Wrong numbers of the machine that are none once the ones are as in its file that the record does not determine.
 
-    Together they may make up for what something else gets wrong.
+    Together they may make up for an error of something else.
     """
     own = [group for group in found.selection.causes if not group.is_candidate]
     if not own:

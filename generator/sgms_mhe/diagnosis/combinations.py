@@ -53,8 +53,8 @@ def find_combinations(
 ) -> tuple[KnownCombination, ...]:
     """Return the combinations that stand for pairs of causes whose columns are collinear beside all else that is free.
 
-    Such a pair together differs significantly from none, and neither does alone: what the one explains the other, with
-    the machine's numbers, can explain as well.
+    Such a pair together differs significantly from none, and neither does alone: the force explained by one, the other
+    with the machine's numbers can explain as well.
 
     Args:
         subject: machine and record.
@@ -96,7 +96,7 @@ def _sizes(fit: Fit, group: ParameterGroup) -> tuple[int, ...]:
 
 
 def _change(fit: Fit, places: Sequence[int]) -> Array:
-    """Scaled difference of numbers from what stands in the file, or of an effect under test from none (places)."""
+    """Scaled difference of numbers from those of the file, or of an effect under test from none (places)."""
     columns = fit.model.columns
     none = [c.theta(c.none) if c.group.is_candidate else c.machine_theta for c in (columns[i] for i in places)]
     return np.asarray(fit.theta[list(places)] - np.array(none))

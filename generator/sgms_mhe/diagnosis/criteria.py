@@ -117,7 +117,7 @@ class Criteria:
         floor: noise of the measured friction [N].
         material: RMS gain that matters [N].
         excited: effects that the record can show.
-        one_speed: whether the motion has but one speed: what comes again in place comes again in time.
+        one_speed: whether the motion has but one speed: a force periodic in place is periodic in time too.
         progress: told of each step.
     """
 
@@ -138,7 +138,7 @@ class Criteria:
         return known or self.has_same_clock(first, second)
 
     def excess(self, fit: Fit) -> float:
-        """RMS of what a fit leaves beyond noise [N].
+        """RMS of a fit's residual beyond noise [N].
 
         Of the rows that it has seen: where a record turns round but once, a fit without that fold predicts anything.
         """
@@ -151,7 +151,7 @@ class Criteria:
     def enough(self, fit: Fit) -> float:
         """Return the least gain of an effect in a fit [N]: one that matters, and a fair share of the residual.
 
-        Where a lot is left, something with a small share of it only imitates a part of what is really there.
+        Where a lot is left, something with a small share of it only imitates a part of the real cause.
         """
         return max(self.material, GAIN_SHARE * self.excess(fit))
 
@@ -262,7 +262,7 @@ def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
 
 
 def rank_proposals(subject: Subject, current: Fit, proposals: Sequence[Proposal]) -> list[Ranked]:
-    """Proposals with what they explain by cross-validation, in their order."""
+    """Proposals with their explained share by cross-validation, in their order."""
     gains = run_parallel([partial(linear_gain, subject, current, proposal) for proposal in proposals])
     return [Ranked(gain, proposal) for gain, proposal in zip(gains, proposals, strict=True)]
 

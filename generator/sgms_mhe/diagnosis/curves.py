@@ -2,7 +2,7 @@
 
 Friction over speed of one form is nearly a sum of others, so that a curve that may have any would fit in the place of
 each of them. It is looked for when the search has ended, and only where the residual is still a curve over speed; it
-then has to gain beside none of the known curves what they could not together.
+then has to gain beside none of the known curves more than they could together.
 """
 
 import math

@@ -28,7 +28,7 @@ _UNKNOWN: Final[Mapping[str, Any]] = {
 
 
 def make_document(machine: Machine, verdict: str, statements: Sequence[Statement], **known: Any) -> dict[str, Any]:
-    """Content of diagnosis.json, keys in the units of the machine's axis; what is not given is not known."""
+    """Content of diagnosis.json, keys in the units of the machine's axis; a missing argument is unknown."""
     content = {
         "verdict": verdict,
         "summary": statements[0].sentence,

@@ -2,8 +2,8 @@
 
     y = sum_g X_g b_g + e,    b_g ~ N(0, phi (lambda_g I + mu_g S_g)^-1 / n),    e ~ N(0, phi I),    phi = tau s^2
 
-S_g is the group's penalty of roughness and s^2 the variance of what is left of n rows. That is mostly what the model
-gets wrong, and not white: tau rows count as one. lambda and mu are at the maximum of the evidence (MacKay's fixed
+S_g is the group's penalty of roughness and s^2 the residual variance of n rows. That is mostly the model's error,
+and not white: tau rows count as one. lambda and mu are at the maximum of the evidence (MacKay's fixed
 point), tau is the one by which parts of the rows are predicted best that are held out.
 """
 
@@ -194,7 +194,7 @@ def _solve(rows: Moments, prior: Array) -> tuple[Array, Array]:
 
 
 def _step(group: Index, log: Array, unsure: Array, square: Array) -> Array:
-    """Return the next logarithms of variances (groups): what is unsure of the coefficients over their squares."""
+    """Return the next logarithms of variances (groups): the coefficients' variances over their squares."""
     tiny = np.finfo(np.float64).tiny
     above, below = (np.maximum(np.bincount(group, x, len(log)), tiny) for x in (unsure, square))
     return np.asarray(log + np.clip(np.log(above) - np.log(below), -LONGEST_STEP, LONGEST_STEP))

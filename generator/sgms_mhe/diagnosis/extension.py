@@ -24,8 +24,8 @@ def extend_machine(
 ) -> tuple[Machine, dict[str, Any]]:
     """Return the machine with numbers corrected and effects added, and the tables that this changes.
 
-    A number that the record says is 0 is no scale for its own estimate: what the base estimates, and the extended
-    machine cannot, is left out of its `estimator.parameters` (where nothing is left, the default takes the place).
+    A number that the record says is 0 is no scale for its own estimate: parameters of the base without one in the
+    extended machine are left out of its `estimator.parameters` (where nothing is left, the default takes the place).
 
     Args:
         machine: the base.
@@ -70,12 +70,12 @@ def extend_machine(
 def add_tables(
     machine: Machine, base: Machine, changes: Mapping[str, Any] | None, tables: Sequence[Mapping[str, Any]]
 ) -> tuple[Machine, dict[str, Any]]:
-    """Return the extended machine with learned tables behind its causes, and what its file changes.
+    """Return the extended machine with learned tables behind its causes, and the changes of its file.
 
     Args:
         machine: of the file.
         base: the machine that gets the tables: the extended one, or that of the file.
-        changes: what it changes of the file; None: nothing.
+        changes: of the file; None: none.
         tables: entries of [[effects]], names of a linear axis.
     """
     units, given = machine.plant.units, dict(changes or {})

@@ -63,12 +63,12 @@ class FinalFit:
         alternative: whether the law that fits is not the machine file's.
         selection: with numbers that can be reported.
         nominal: the machine as it is, with its own transition.
-        nominal_residual: what that leaves of the whole record.
+        nominal_residual: of that over the whole record.
         start: all of the machine's numbers refitted, no effect added.
         floor: noise of the measured friction [N].
         encoder: force that the encoder's steps leave in the whole record's residual (m) [N]; None: they do not show.
         along: the machine along the whole record, where the fits are to pieces of it.
-        known: what fits leave of the whole record, by the fit's identity.
+        known: residuals over the whole record, by the fit's identity.
     """
 
     record: Recording
@@ -164,7 +164,7 @@ def make_final_fit(record: Recording, nominal: Fit, laws: Laws, selection: Selec
 def _time_step(subject: Subject, along: Subject | None, fit: Fit, effect: CandidateEffect) -> CandidateEffect:
     """A step at the instant that the whole record says, its size given; `along`: that record, where pieces are fitted.
 
-    Pieces only know what two of them it is between; and a search may have put it where something was not known yet.
+    The segments only bound it between two of them; and a search may have put it where something was not known yet.
     """
     kind = effect_definition(effect.name).search
     if not isinstance(kind, Step):

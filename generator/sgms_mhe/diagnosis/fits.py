@@ -52,7 +52,7 @@ class Fit(FitLoss):
         free: parameters that were fitted (n_p).
         interior: those of them that no bound holds (n_p): the directions that the data may still move.
         jacobian: d(model)/d(theta) (m, n_p).
-        own: what each of several joined logs has of its own, taken out of residual and Jacobian; None: there is one.
+        own: numbers of each of several joined logs, taken out of residual and Jacobian; None: there is one.
     """
 
     model: CompiledFit
@@ -64,7 +64,7 @@ class Fit(FitLoss):
     own: OwnNumbers | None = None
 
     def find_nuisance(self, used: Mask, held: Mask | None = None) -> Nuisance:
-        """Return what free numbers explain on rows (m), but those `held` (n_p), and what each log has of its own."""
+        """Return the part explained on rows (m) by free numbers but those `held` (n_p), and by each log's own."""
         X = self.jacobian[used][:, self.interior if held is None else self.interior & ~held]
         return find_nuisance(X if self.own is None else np.column_stack((X, self.own.columns[used])))
 
@@ -95,7 +95,7 @@ class Alignment:
     Attributes:
         measured: friction before any of it was (m) [N].
         sampled: coefficients (2) of jerk and snap that the sampling accounts for.
-        later: what the length of the model's steps takes from its friction (m) [N]; None: nobody has asked.
+        later: error of the model's steps in its friction (m) [N]; None: not computed.
         at: that friction (m) [N].
     """
 
@@ -121,14 +121,14 @@ class Subject:
     Attributes:
         machine: the axis.
         recording: the record, its measured friction in line with the model.
-        alignment: what brought it there.
+        alignment: of the record.
         noise: of the measured friction [N]; weight of the prior.
         encoder: force that the encoder's steps leave in the residual (m) [N]; None: they do not show, or nobody asked.
-        enough: what a step of a fit must promise [rows' worth of noise].
+        enough: least promised gain of a step of a fit [rows' worth of noise].
         starts: SI values of machine numbers that fits start from, where the file gives no good idea of them.
         fine: the same at the record's full rate, where this one is thinned.
         is_open: whether the machine's numbers are the record's own: then they are free in every fit, and no causes.
-        known: fits by what was asked for. A model is fitted once to an aligned record, wherever it would start;
+        known: fits by their request. A model is fitted once to an aligned record, wherever it would start;
             copies share them, an alignment begins anew.
     """
 
@@ -235,7 +235,7 @@ def fit_model(
         rows: rows that the fit sees (m); None: all used ones.
         fixed: columns of the machine's own numbers that stay at its file's, whatever is refitted.
         iterations: at most; None: the usual ones.
-        again: fit even what is known, from `warm`, and keep the better one.
+        again: fit also known ones, from `warm`, and keep the better one.
 
     Raises:
         FitError: the model is not finite where its fit starts.
@@ -248,14 +248,14 @@ def fit_model(
     )
     known = subject.known.get(key)
     if known is None or again:
-        wanted = _Wanted(refitted, rows, fixed, iterations or ITERATIONS)
+        wanted = _FitRequest(refitted, rows, fixed, iterations or ITERATIONS)
         fit = _fit(subject, effects, warm, wanted)
         subject.known[key] = fit if known is None or fit.rms < known.rms else known
     return subject.known[key]
 
 
 @dataclass(frozen=True, eq=False)
-class _Wanted:
+class _FitRequest:
     """Freedom and data of a fit; as the arguments of `fit_model`."""
 
     refitted: Sequence[ParameterGroup] | None
@@ -271,7 +271,7 @@ class _Wanted:
         return wanted and not column.frozen and column.name not in self.fixed
 
 
-def _fit(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | None, wanted: _Wanted) -> Fit:
+def _fit(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | None, wanted: _FitRequest) -> Fit:
     """At the rate that suits the effects, and where a thinned model is not finite at the full one."""
     if subject.choose_rate(effects) is subject:
         try:
@@ -282,7 +282,7 @@ def _fit(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | None,
     return fit_model(subject.whole, effects, warm=warm, **vars(wanted))
 
 
-def _fit_here(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | None, wanted: _Wanted) -> Fit:
+def _fit_here(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | None, wanted: _FitRequest) -> Fit:
     """At the subject's own rate."""
     recording, model = subject.recording, subject.model(effects)
     columns = model.columns

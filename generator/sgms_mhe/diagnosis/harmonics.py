@@ -47,7 +47,7 @@ PASSED: Final = 0.95
 
 
 def list_smoothed(recording: Recording, causes: Iterable[Cause]) -> tuple[Statement, ...]:
-    """Return what the chain's low-passes took of the sines that are named, on average over the used rows.
+    """Return the low-passes' attenuation of the named sines, on average over the used rows.
 
     Force and acceleration come through two of them and a sample, the model's sine through none: so an amplitude is too
     small by H^2 / z and the delay that is taken out, at f = |v| / pitch for one in place.
@@ -180,8 +180,8 @@ def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: 
 def _energies(sine: _Sine, band: tuple[float, float], free: Nuisance, e: Array) -> tuple[Array, Array]:
     """Wavenumbers of a band, four over the span of x apart or closer, and the energy that each one's columns explain.
 
-    Nuisance projected out; FFTs over bins of x, six to the shortest period: what binning loses of a sine (5 %) it loses
-    of what is projected out too.
+    Nuisance projected out; FFTs over bins of x, six to the shortest period: binning loses 5 % of a sine, and as much
+    of the projected part.
     """
     x, weights = sine.x, sine.weights
     bin_width = 1.0 / (BINS_PER_PERIOD * band[1])

@@ -1,4 +1,4 @@
-"""Fit of a machine to several records: what belongs to the axis is common, what belongs to a record free in each."""
+"""Fit of a machine to several records: numbers of the axis are common, numbers of a record free in each."""
 
 import math
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ class JointPoint:
 
     Attributes:
         points: model and numbers of each.
-        origins: what its position is counted from, beside what it was (K) [m].
+        origins: shifts of the position's origin (K) [m].
         slopes: derivative of its friction in that (m) [N/m]; None: the origin is known.
         cost: sum of squares and prior.
     """
@@ -172,7 +172,7 @@ class JointFit:
         return LeastSquares(member.fit.model, recording, recording.used, self.free, Prior(none, none, none))
 
     def _box(self, start: JointPoint, here: JointPoint) -> Box:
-        """Return the box of a step, within what every record allows."""
+        """Return the box of a step, within the limits of every record."""
         lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         free = np.flatnonzero(self.free)
         for k, (member, place) in enumerate(zip(self.members, self.places, strict=True)):
@@ -186,9 +186,9 @@ class JointFit:
         return np.minimum(lower, 0.0), np.maximum(upper, 0.0)
 
     def fits(self, at: JointPoint) -> tuple[Fit, ...]:
-        """Return the fit of each record, what is common to all among its free numbers.
+        """Return the fit of each record, the common ones among its free numbers.
 
-        Its Jacobian is without what an origin that is free makes up for: the others' information is that beside it.
+        The effect of a free origin is projected out of its Jacobian: the others' information is that beside it.
         """
         found = []
         for member, point, slope in zip(self.members, at.points, at.slopes, strict=True):
@@ -265,5 +265,5 @@ class JointFit:
         return np.asarray(self.common & np.any(stopped, axis=0))
 
     def numbers(self, at: JointPoint) -> Array:
-        """Return the numbers (n_p) of the machine: the common ones, and the mean over records of what each has."""
+        """Return the numbers (n_p) of the machine: the common ones, and the mean of the records' own."""
         return np.asarray(np.mean([point.theta for point in at.points], axis=0))

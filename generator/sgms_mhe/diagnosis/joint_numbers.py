@@ -30,7 +30,7 @@ Numbers = Mapping[ParameterGroup, Mapping[str, float]]
 def find_common(found: Diagnosis, fit: RecordFit, causes: Sequence[Cause]) -> Mask:
     """Return the numbers (n_p) that the records have in common: those that a diagnosis changed, but for other causes.
 
-    What belongs to a record is not among them.
+    Numbers of a record are not among them.
     """
     labels, named = {cause.label for cause in causes}, {cause.label for cause in found.causes}
     own = fit.free()

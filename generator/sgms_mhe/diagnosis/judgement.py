@@ -43,7 +43,7 @@ sampling, integration and a low cutoff leave as much of a log without noise."""
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A verdict and what it rests on.
+    """A verdict and its evidence.
 
     Attributes:
         verdict: the word.
@@ -100,7 +100,7 @@ def judge(final: FinalFit) -> Judged:
             over_speed = _may_substitute
         elif any(_is_any_curve(c.name) for c in found.causes):
             over_speed = _is_part_of_curve
-        found = _mark_substitutes(found, over_speed, unnamed)
+        found = _mark_rivals(found, over_speed, unnamed)
     log_decision(
         "verdict",
         "residual beyond noise is within what a complete explanation may leave, and no curve over speed is left",
@@ -131,8 +131,8 @@ def _without_causes(final: FinalFit, found: Confirmed, plain: Fit) -> Confirmed:
     return Confirmed(selection, blind, ())
 
 
-def _mark_substitutes(found: Confirmed, over_speed: Callable[[str], bool] | None, unnamed: Collection[str]) -> Confirmed:
-    """Return the causes, marked what may be a part of a curve over speed or is among the labels that are `unnamed`."""
+def _mark_rivals(found: Confirmed, over_speed: Callable[[str], bool] | None, unnamed: Collection[str]) -> Confirmed:
+    """Return the causes, with those marked that are `unnamed` or may be a part of a curve over speed."""
 
     def find_part(cause: Cause) -> StandsFor:
         if over_speed is not None and over_speed(cause.name):
@@ -173,9 +173,9 @@ def allowed_excess(
 ) -> float:
     """RMS beyond noise [N] that a complete explanation may leave.
 
-    `before`: without its causes; `encoder`: what the encoder's steps leave, where they are in the floor.
+    `before`: without its causes; `encoder`: residual of the encoder's steps, where they are in the floor.
 
-    A wrong number beside effects may stand for a part of what they leave: then that is no more than what is small.
+    A wrong number beside effects may stand for a part of their residual: then only a small one is accepted.
     """
     level = machine.friction.coulomb
     noise = floor * (ALLOWED_ENCODER if encoder**2 > MOSTLY * floor**2 else ALLOWED_NOISE)

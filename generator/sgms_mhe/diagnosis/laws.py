@@ -79,7 +79,7 @@ class Laws:
             with it.
         taken: whether the alternative one fits better.
         decided: whether the one that is not taken is out of the question, whatever effect is added.
-        apart: RMS of what they differed by when both were fitted last [N]; inf: they never were.
+        apart: RMS of their difference when both were fitted last [N]; inf: never.
     """
 
     own: Subject
@@ -150,7 +150,7 @@ def _align_nominal(subject: Subject) -> Subject | None:
 
 
 def start_unknown_numbers(laws: Laws) -> Laws:
-    """The laws with fits that start from what the record shows of numbers that the machine file says nothing of.
+    """The laws with fits that start from the record's estimates of numbers missing in the machine file.
 
     A file without a Stribeck effect says nothing about its velocity.
     """
@@ -176,9 +176,9 @@ def fit_law(
     """Fit under the law that fits better, and keep to it from now on.
 
     Both are tried, so that the difference is not taken for an effect, nor an effect for it; each with its own thinned
-    model brought into line, or what thinning does to the new effect would decide; each also from numbers that the
+    model brought into line, or the error of thinning would decide on the new effect; each also from numbers that the
     record alone gives. But where an effect takes the elements' motion from them, one run costs a hundred others and
-    the laws hardly differ: the law and the start stay what they were without it. `known`: as of `fit_chosen`.
+    the laws hardly differ: the law and the start stay as without it. `known`: as of `fit_chosen`.
     """
     if is_driven(effects):
         return fit_chosen(laws, effects, criteria, known=known)
@@ -276,7 +276,7 @@ def _fit_or_known(subject: Subject, effects: Sequence[CandidateEffect], known: F
 def align_fit(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:
     """The fit with everything at hand, the record brought into line with it.
 
-    Not where no fit can begin at its own numbers: a state may be at the edge of what its steps can follow.
+    Not where no fit can begin at its own numbers: a state may be at the limit of its integration steps.
     """
     for _ in range(ALIGNMENTS):
         aligned = align(subject, fit)

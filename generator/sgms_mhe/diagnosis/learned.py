@@ -1,4 +1,4 @@
-"""A learned residual: its functions, their tables, and what they gain."""
+"""A learned residual: its functions, their tables, and their gain."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class LearnedTerm:
 
 @dataclass(frozen=True)
 class LearnedRecord:
-    """Another record with what was learned, its own offset, level and damping fitted; RMS on held-out blocks [N].
+    """Another record with the learned tables, its own offset, level and damping fitted; RMS on held-out blocks [N].
 
     Attributes:
         name: source of its log.
@@ -64,7 +64,7 @@ class LearnedRecord:
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A learned residual and what it gains.
+    """A learned residual and its gain.
 
     Attributes:
         terms: of its sum.

@@ -1,4 +1,4 @@
-"""A residual learned beside the causes: the machine that has it, and what it gains on other records."""
+"""A residual learned beside the causes: the machine with it, and the gain on other records."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ from sgms_mhe.support.decisions import log_decision
 
 
 def learn_beside(record: Recording, full: RecordResidual, blind: RecordResidual, floor: float) -> Learned | None:
-    """Learn what a residual has of a cause's size; `blind`: of the fit without the held-out blocks; `floor` [N]."""
+    """Learn parts of a residual as large as a cause; `blind`: of the fit without held-out blocks; `floor` [N]."""
     material = _least_gain(record.machine, floor)
     return learn_residual(record, full.residual, blind.residual, floor=floor, material=material)
 
@@ -33,10 +33,10 @@ def _least_gain(machine: Machine, floor: float) -> float:
 
 
 def adopt_tables(found: Diagnosis, log: Log) -> Diagnosis:
-    """Return a diagnosis whose extended machine has what was learned as tables, beside the causes.
+    """Return a diagnosis whose extended machine has the learned tables beside the causes.
 
-    It has them where, run along the record as its file has it, it leaves less by what matters, and where they lose on
-    no other record; what is left of the record is then what that machine leaves.
+    It has them where, run along the record as its file has it, its residual is smaller by a material amount, and where
+    they lose on no other record; the record's residual is then that of this machine.
     """
     learned = found.learned
     if learned is None or any(record.is_worse for record in learned.records):
@@ -84,12 +84,12 @@ def _simulate(machine: Machine, record: Recording) -> float:
 
 
 def judge_learned(learned: Learned, recording: Recording, fit: Fit, name: str, plain: float) -> LearnedRecord:
-    """Judge what was learned on another record of the axis.
+    """Judge learned tables on another record of the axis.
 
     Args:
         learned: on the first record.
         recording: the other one, in line with the machine without the tables.
-        fit: of what belongs to this record, without its held-out blocks.
+        fit: of this record's own numbers, without its held-out blocks.
         name: of its log.
         plain: residual of Coulomb and viscous friction there [N].
     """

@@ -2,7 +2,7 @@
 
 All functions are fitted at once, as tables of cubic B-splines that end in zero where the data end; their sizes are told
 by the evidence of the record (`evidence_fit.py`). A force that wanders with time is fitted beside them, and predicts
-nothing. What is gained is measured on long parts of the record, each predicted by a fit to the others.
+nothing. The gain is measured on long parts of the record, each predicted by a fit to the others.
 """
 
 import itertools
@@ -126,14 +126,14 @@ def _count_parts(residual: Array) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class _Term:
+class _SplineTerm:
     """A function to be fitted: its splines (m, k) along the rows that are learned from."""
 
     coordinates: tuple[Coordinate, ...]
     splines: Array
 
 
-def _make_terms(recording: Recording, every: int, whole: Mask) -> list[_Term]:
+def _make_terms(recording: Recording, every: int, whole: Mask) -> list[_SplineTerm]:
     """Return all functions of a record's motion, means over `every` rows of which `whole` are learned from.
 
     A memory begins where the axis has moved its length, and a lag where it has passed: how the axis came to its first
@@ -155,7 +155,7 @@ def _make_terms(recording: Recording, every: int, whole: Mask) -> list[_Term]:
             B = own[0] if len(own) == 1 else (own[0][:, :, None] * own[1][:, None, :]).reshape(len(moved), -1)
             B[moved < max((w.scale for w in warps if w.kind == "travel"), default=0.0)] = 0.0
             B[passed < max(w.lag for w in warps)] = 0.0
-            terms.append(_Term(coordinates, B))
+            terms.append(_SplineTerm(coordinates, B))
     return terms
 
 
@@ -169,7 +169,7 @@ def _penalise(sizes: Sequence[int]) -> Array:
     return total
 
 
-def _fit(terms: Sequence[_Term], residual: Array, part: Index) -> tuple[Design, EvidenceFit]:
+def _fit(terms: Sequence[_SplineTerm], residual: Array, part: Index) -> tuple[Design, EvidenceFit]:
     """Fit all functions, and a force that wanders with time, to a residual (m) of numbered parts (m)."""
     wander = Coordinate(Warp("place", 1.0), 0.0, float(len(part)), WANDER)
     groups = [SmoothGroup(term.splines, _penalise([c.size for c in term.coordinates])) for term in terms]
@@ -181,7 +181,7 @@ def _fit(terms: Sequence[_Term], residual: Array, part: Index) -> tuple[Design, 
 
 
 def _solve_terms(
-    terms: Sequence[_Term], residual: Array, part: Index, design: Design, fit: EvidenceFit
+    terms: Sequence[_SplineTerm], residual: Array, part: Index, design: Design, fit: EvidenceFit
 ) -> tuple[LearnedTerm, ...]:
     """Return the functions that have a force worth a table, fitted without the others.
 

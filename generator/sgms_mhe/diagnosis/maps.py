@@ -41,7 +41,7 @@ is none."""
 
 @dataclass(frozen=True)
 class _Carried:
-    """A period, the orders that the record carries at it, the one that explains most first, and what they leave.
+    """A period, the orders that the record carries at it, the one that explains most first, and their residual.
 
     `left`: sum of squares on unseen folds [N^2].
     """
@@ -52,7 +52,7 @@ class _Carried:
 
 
 @dataclass(frozen=True, eq=False)
-class _Moments:
+class _BinMoments:
     """Sums over the bins of a period, by fold, from which products of its columns come, the nuisance projected out.
 
     Attributes:
@@ -338,14 +338,14 @@ def _pair_energies(target: Array, square: Array, least: float) -> Array:
     return np.asarray(np.where(good, found, 0.0))
 
 
-def _unseen_gain(moments: _Moments, places: list[int]) -> float:
+def _unseen_gain(moments: _BinMoments, places: list[int]) -> float:
     """Sum of squares that columns explain, each fold by a fit of the others."""
     H, b = moments.squares(places), moments.target[:, places, None]
     size = np.linalg.pinv(H.sum(axis=0) - H, rcond=1e-10, hermitian=True) @ (b.sum(axis=0) - b)
     return float(np.sum(size * (2.0 * b - H @ size)))
 
 
-def _moments(seen: Residual, beside: _Beside, x: Array, slow: Mask, period: float, highest: int) -> _Moments:
+def _moments(seen: Residual, beside: _Beside, x: Array, slow: Mask, period: float, highest: int) -> _BinMoments:
     """Products of the columns of a period, from sums over its bins; rows too fast for its orders have columns of 0."""
     Q, fold = seen.free.basis, beside.fold
     folds, bins = len(beside.own), BINS_PER_PERIOD * highest
@@ -361,4 +361,4 @@ def _moments(seen: Residual, beside: _Beside, x: Array, slow: Mask, period: floa
     count, target = binned(np.ones((len(x), 1)))[:, 0], binned(seen.e[:, None])[:, 0]
     mixed = np.asarray(binned(Q) @ F)
     product = target @ F - beside.target @ mixed.sum(axis=0)
-    return _Moments(F, count, product, mixed, beside.own)
+    return _BinMoments(F, count, product, mixed, beside.own)

@@ -78,10 +78,10 @@ class CompiledFit:
     """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate.
 
     Attributes:
-        code: the model, without what delays all of its force and without effects that are plain forces.
+        code: the model, without delays of all its force and without effects that are plain forces.
         columns: of its parameters, then the delay where there is one, then those of the forces.
         delayed: whether there is.
-        forces: what stands beside the code.
+        forces: added beside the code.
     """
 
     code: CompiledModel
@@ -256,7 +256,7 @@ def _add_force(
 def make_model(machine: Machine, effects: Sequence[CandidateEffect]) -> CompiledFit:
     """The machine with effects added, everything in it a free parameter.
 
-    Their values are where a fit starts; what is compiled is near them, so that few models serve all fits.
+    Their values are where a fit starts; compiled models are near them, so that few models serve all fits.
     """
     keys = [(e.name, nominal_values(machine, e)) for e in effects]
     machine = smooth_law(machine, effects)
@@ -360,7 +360,7 @@ class Prior:
 class ModelPoint:
     """A model at theta (n_p): residual (m) [N], slopes d(model)/d(theta) (m, n_p), cost (inf: not finite there).
 
-    Where several logs are joined both are without what each has of its own (`own`).
+    Where several logs are joined both are without each one's own part (`own`).
     """
 
     theta: Array
@@ -434,7 +434,7 @@ class LeastSquares:
         return minimise(self, here, box, iterations, enough)
 
     def quadratic(self, here: ModelPoint) -> Quadratic:
-        """Return the quadratic model of the cost about a point, in what is free."""
+        """Return the quadratic model of the cost about a point, in the free numbers."""
         free, prior = self.free, self.prior
         X = here.jacobian.compress(self.seen, axis=0).compress(free, axis=1)  # a third of what masks take
         H = X.T @ X
@@ -442,11 +442,11 @@ class LeastSquares:
         return Quadratic(H, g, prior.binding, np.diag(H) + prior.information)
 
     def after(self, here: ModelPoint, step: Array) -> ModelPoint:
-        """Return the model after a step of what is free."""
+        """Return the model after a step of the free numbers."""
         return self.at(self.move(here.theta, step))
 
     def move(self, theta: Array, step: Array) -> Array:
-        """Return theta (n_p) after a step of what is free (free).
+        """Return theta (n_p) after a step of the free numbers (free).
 
         Where the force is linear in s and s p, the step is one of s and s p: p + dp s / (s + ds). One along p alone
         would follow a curved valley to a place far outside the travel.

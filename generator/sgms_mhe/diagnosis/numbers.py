@@ -1,4 +1,4 @@
-"""Numbers of a machine beside those of its file, and the machine extended by what was found."""
+"""Numbers of a machine beside those of its file, and the machine extended by the causes."""
 
 import math
 from collections.abc import Mapping, Sequence

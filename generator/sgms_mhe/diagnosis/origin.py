@@ -5,7 +5,7 @@ the power-up, are projected out. The origin that leaves least is stated where th
 
 - on blocks that had no say in it, it leaves less than the mean of the forces at all origins, which knows no place;
 - every other origin that was tried leaves more, by more than the scatter of that difference over blocks;
-- it is not at the end of what was tried.
+- it is not at the end of the tried range.
 
 Otherwise it is not determined, and the reason is said.
 """
@@ -110,9 +110,9 @@ class _OriginSearch:
 
     Attributes:
         fit: the machine, its own numbers fixed.
-        free: what belongs to the record (rows used, p), orthonormal.
+        free: columns of the record's own numbers (rows used, p), orthonormal.
         here: friction with the origin at 0 (m) [N].
-        columns: its derivatives in what belongs to the record (m, p), first in the age of the force, but for the sign.
+        columns: its derivatives in the record's own numbers (m, p), first in the age of the force, but for the sign.
     """
 
     fit: RecordFit
@@ -165,11 +165,11 @@ class _OriginSearch:
         return self.fit.model.run(shifted, self.fit.theta if theta is None else theta, derivatives=False)[0]
 
     def rest(self, origin: float) -> Array:
-        """Return what an origin leaves (rows used) [N]."""
+        """Return the residual of an origin (rows used) [N]."""
         return self.free.project((self.recording.friction - self.friction(origin))[self.recording.used])
 
     def is_same(self, origin: float) -> bool:
-        """Return True if the friction from another origin is that from 0, but for what belongs to the record."""
+        """Return True if the friction from another origin is that from 0, but for the record's own numbers."""
         change = (self.friction(origin) - self.here)[self.recording.used]
         largest = float(np.max(np.abs(self.free.project(change))))
         return largest < FORCE_OF_PLACE * self.fit.subject.machine.friction.coulomb
@@ -216,7 +216,7 @@ class _Tried:
 
     Attributes:
         origins: in ascending order (k) [m]. step: between them [m].
-        rests: what each leaves (k, rows used) [N].
+        rests: residual of each (k, rows used) [N].
         repeats: the last one is the first one's neighbour.
     """
 
@@ -277,7 +277,7 @@ def _held_out_gain(search: _OriginSearch, tried: _Tried, held: Mask) -> tuple[fl
 def _equals(search: _OriginSearch, tried: _Tried, rests: dict[float, Array], best: float) -> list[float]:
     """Return origins that leave no more than the best one, but for the scatter of that over blocks: one of each valley.
 
-    Its own valley does not count: it is what the deviation is about.
+    Its own valley does not count: the deviation describes it.
     """
     at_best = rests[best]
     quantile = float(stats.t.isf(CHANCE / len(tried.origins), GROUPS - 1))
@@ -320,9 +320,9 @@ def _scatter(series: Array) -> float:
 
 
 def _settle(search: _OriginSearch, origin: float, step: float) -> tuple[float, float]:
-    """Fit an origin and what belongs to the record together; return the origin [m] and one standard deviation [m].
+    """Fit an origin and the record's own numbers together; return the origin [m] and one standard deviation [m].
 
-    Noise and what the model gets wrong make the deviation as they make that of every number of a diagnosis; and the
+    Noise and the model's error make the deviation as they make that of every number of a diagnosis; and the
     timing of force against position does, with the mean speed of the rows that tell: to and fro it cancels.
     """
     near = replace(search, fit=search.at(origin).align())

@@ -29,10 +29,10 @@ class Origin:
     """Position that a machine's forces over place count from, as one record tells it; keys of a linear axis.
 
     Attributes:
-        position_m: what `NAME_set_origin` takes; None: not determined.
+        position_m: argument of `NAME_set_origin`; None: not determined.
         deviation_m: of it, one standard deviation; None likewise.
         period_m: that all forces over place repeat with: the origin is known but for whole multiples of it; None: they
-            do not repeat, or not within what was allowed.
+            do not repeat, or not within the allowed range.
         candidates_m: origins that fit as well as each other, best first: this one, or several that the record does not
             tell apart; none where it tells nothing of the place.
         gain_N: RMS of force that the place explains on held-out blocks, beside not knowing it.
@@ -77,7 +77,7 @@ class JudgedRecord:
         force: RMS of the force.
         noise_floor_N: of its measured friction.
         origin_m: to be added to its position, so that the forces over place fit; 0: nothing.
-        origin: what the record says of that, its `position_m` the negative of it; None: not asked, the axis is homed.
+        origin: by this record, its `position_m` the negative of it; None: not asked, the axis is homed.
         common_after: of the extended machine without causes of the first record alone.
         own: numbers that belong to the record, by name.
         causes: those of the first record.

@@ -25,7 +25,7 @@ class OwnDifference:
     """A number that records of one axis do not agree on.
 
     Attributes:
-        group: what it belongs to.
+        group: it belongs to.
         name: in SI results.
         values: of each record, the first one's first [SI].
     """
@@ -64,7 +64,7 @@ class OwnNumbers:
 
     Attributes:
         columns: derivatives of the friction in them (m, q).
-        force: what they make up for in a residual (m) [N].
+        force: explained by them in a residual (m) [N].
     """
 
     columns: Array
@@ -90,5 +90,5 @@ class OwnNumbers:
         return cls(columns, columns @ np.linalg.lstsq(columns[seen], residual[seen], rcond=1e-9)[0])
 
     def project(self, series: Array, seen: Mask) -> Array:
-        """Return columns (m, k) without what these numbers make up for on the rows seen (m)."""
+        """Return columns (m, k) without the part explained by these numbers on the rows seen (m)."""
         return np.asarray(series - self.columns @ np.linalg.lstsq(self.columns[seen], series[seen], rcond=1e-9)[0])

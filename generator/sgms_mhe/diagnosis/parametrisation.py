@@ -61,12 +61,12 @@ class CandidateEffect:
 
 @dataclass(frozen=True)
 class ParameterGroup:
-    """Parameters that are wrong, or there, together: what a cause is made of.
+    """Parameters of one cause, wrong or present together.
 
     Attributes:
         kind: base: numbers of the base model; own: an effect that the machine has; candidate: an effect under test.
-        cause: what a diagnosis calls it: the wrong number or the effect.
-        label: what the machine calls its effect (`force_ripple_2`); empty for the others.
+        cause: its name in a diagnosis: the wrong number or the effect.
+        label: of its effect in the machine (`force_ripple_2`); empty for the others.
         index: of an effect under test, its place among them.
     """
 
@@ -133,12 +133,12 @@ class JacobianColumn:
     """One free parameter of the compiled model.
 
     Attributes:
-        group: what it belongs to.
+        group: it belongs to.
         name: in SI results (`stiffness_1`, `coulomb`, `amplitude_N`).
         nominal, scale: p = nominal + scale (theta - 1).
         machine_theta: value that the machine file states (of an effect under test: 1).
         lower, upper: of theta.
-        least, most: what a record can tell of it [SI]; None: whatever the bounds say.
+        least, most: limits of its identifiability [SI]; None: the bounds.
         step: how far a step of a fit may move it, of an effect's; None: as a number of the base model.
         frozen: its search decides it, no fit moves it.
         timing: it is a time that force and position are apart.
@@ -273,7 +273,7 @@ class Force:
 
     Attributes:
         parameters: its free ones, in their order.
-        read_as: what other effects may read it as.
+        read_as: quantity as which other effects may use it.
     """
 
     parameters: tuple[FreeParameter, ...]
@@ -319,7 +319,7 @@ def _find_read(structure: ModelStructure) -> frozenset[ReadAs]:
 def find_plain_forces(machine: Machine, structures: Sequence[ModelStructure]) -> tuple[int, ...]:
     """Return the effects under test, each a structure with the machine, that may stand beside a compiled model.
 
-    None where one of them, or of the machine's, changes what forces read or what becomes of them.
+    None where one of them, or of the machine's, changes the inputs of forces or their transmission.
     """
     names = [name for structure in structures for name, _ in structure.effects]
     stages = {effect_definition(name).stage for name in (*names, *(effect.name for effect in machine.effects))}

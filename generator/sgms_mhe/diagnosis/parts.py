@@ -37,7 +37,7 @@ class Cause:
         gain_interval_N: 95 % interval of `gain_N` over held-out blocks.
         p_value: of the score test against the model without it, multiplicity included.
         vague: parameters that the record does not determine.
-        stands_for: what it is a part of, where it is no cause of its own: a curve over speed of another form, which is
+        stands_for: the whole, where it is a part and no cause of its own: a curve over speed of another form, which is
             left or named beside it; or a force without a name, which it predicts though it is not certain or changes.
         transfers: whether it holds on the other records; None: there are none, or none of them shows it.
     """
@@ -83,7 +83,7 @@ class Score:
 class Alternative:
     """A candidate that was not named, and why; `rival` if the data cannot tell it from a named one.
 
-    `parameters`: of its refit; `excess_N`: RMS of the force by which it fits worse than what it would replace.
+    `parameters`: of its refit; `excess_N`: RMS of the force by which it fits worse than the replaced cause.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Trajectories that excite what a diagnosis needs to see, or that tell two causes apart."""
+"""Trajectories that excite the effects of a diagnosis, or that tell two causes apart."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +20,7 @@ from sgms_mhe.support.notebooks import Presentation, Shown
 
 @dataclass(frozen=True, repr=False)
 class MotionPlan(Shown):
-    """A trajectory and what it is for."""
+    """A trajectory and its purpose."""
 
     trajectory: Trajectory
     reason: str
@@ -67,7 +67,7 @@ def _speeds(path: Motion, axis: _Axis) -> None:
 
 
 def _travel(path: Motion, axis: _Axis) -> None:
-    """The whole travel forth and back, slowly and fast: what stays in place."""
+    """The whole travel forth and back, slowly and fast, for forces fixed in place."""
     start = path.position
     for share in (0.1, 0.4):
         path.move_to(start + axis.travel, *axis.limits(share))
@@ -145,7 +145,7 @@ def list_open_causes(path: Path) -> tuple[str, ...]:
 
 
 def make_plan(machine: Machine, separate: tuple[str, str] | None = None, wanted: Sequence[str] = ()) -> MotionPlan:
-    """A trajectory for a machine: everything, or what two causes need and what tells them apart, or wanted ones need.
+    """A trajectory for a machine: for everything, for two causes and their separation, or for wanted ones.
 
     Raises:
         InputError: a cause that does not exist.

@@ -1,4 +1,4 @@
-"""A machine along another record, its own numbers fixed, and what belongs to the record free."""
+"""A machine along another record, its own numbers fixed, and the record's own numbers free."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -18,7 +18,7 @@ from sgms_mhe.support.arrays import Array, Mask
 
 @dataclass(frozen=True, eq=False)
 class RecordFit:
-    """A machine along another record, its own numbers fixed, and what belongs to the record free.
+    """A machine along another record, its own numbers fixed, and the record's own numbers free.
 
     Attributes:
         subject: machine and record.
@@ -50,7 +50,7 @@ class RecordFit:
         )
 
     def fit(self, theta: Array, free: Mask, rows: Mask | None = None) -> Fit:
-        """Fit what is free, from theta (n_p) on, to rows (m); None: all used ones.
+        """Fit the free numbers, from theta (n_p) on, to rows (m); None: all used ones.
 
         Raises:
             FitError: the model is not finite.

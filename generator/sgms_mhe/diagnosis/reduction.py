@@ -26,7 +26,7 @@ def join_map(subject: Subject, fit: Fit, criteria: Criteria) -> Fit:
     """The fit with one map in place of a map and the ripples beside it, where it has no more numbers and is as good.
 
     A search adds one effect after the other: of a map whose first sine is by far the strongest it adds that one as a
-    ripple, and what is left as a map of another period.
+    ripple, and the rest as a map of another period.
     """
     mapped = [e for e in fit.effects if isinstance(effect_definition(e.name).search, Periodic)]
     for one in mapped:
@@ -101,7 +101,7 @@ def prune_effects(
 def find_wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
     """Return the machine's numbers that must differ from the file: the fewest groups without a material loss.
 
-    All of them where the numbers are the record's. Not what is small: laws of friction and long steps are wrong by as
+    All of them where the numbers are the record's. Not small ones: laws of friction and long steps are wrong by as
     much, where elements slip. Returns them, and the fit with only them free.
     """
     effects, material = fit.effects, max(criteria.material, small_force(subject.machine))
@@ -143,7 +143,7 @@ def find_wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[
 
 
 def keep_necessary(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
-    """The wrong numbers, and the fit without effects that are superfluous now that those are what they are."""
+    """The wrong numbers, and the fit without effects that are superfluous beside those."""
     refitted, fit = find_wrong_numbers(subject, join_map(subject, fit, criteria), criteria)
     return refitted, shorten_lists(
         subject, prune_effects(subject, fit, criteria, refitted=refitted), criteria, refitted
@@ -153,7 +153,7 @@ def keep_necessary(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Grou
 def shorten_lists(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence[ParameterGroup]) -> Fit:
     """The fit without entries of lists that gain nothing on unseen folds, to first order; one entry stays.
 
-    What is left of a map is stated over its shortest period.
+    The rest of a map is stated over its shortest period.
     """
     gain = ENTRY_GAIN * criteria.material
     for group in fit.candidate_groups:

@@ -59,7 +59,7 @@ class Diagnosis(Shown):
         source: of the log.
         verdict: adequate, explained, ambiguous (others fit as well) or unexplained (something is left).
         causes: strongest first.
-        alternatives: what was not named; the rivals first.
+        alternatives: candidates without a name; the rivals first.
         rms: of the whole extension (an adequate machine: after = before).
         noise_floor_N: RMS of the friction measurement's noise at the fit's rate.
         gain_interval_N: 95 % interval of the RMS of the explained force on held-out data.
@@ -71,10 +71,10 @@ class Diagnosis(Shown):
         changes: tables of its file that differ from the base's, as content of a machine file.
         law: of friction that fits the record, as in the machine file.
         excited: whether the axis moved.
-        warnings: what the user should know about the record (gaps, saturation, too fast, too short).
+        warnings: to the user about the record (gaps, saturation, too fast, too short).
         seconds: computing time.
         rival_fits: of the alternatives that are rivals.
-        undecided: what no record of this motion can decide.
+        undecided: questions open after any record of this motion.
         encoder_noise_N: RMS of the force that the encoder's noise leaves, where most of the residual of an adequate or
             unexplained record is that; else 0.
         standalone: whether the extended machine's file has every table; otherwise it extends the base.
@@ -147,7 +147,7 @@ class Diagnosis(Shown):
 
     @property
     def limits(self) -> tuple[str, ...]:
-        """Sentences on what this record cannot decide."""
+        """Sentences on the questions left open by this record."""
         return tuple(statement.sentence for statement in list_open(self.statements))
 
     @property
@@ -224,7 +224,7 @@ class Diagnosis(Shown):
         )
 
     def _state_residual(self) -> Iterator[Statement]:
-        """Yield what is left, with the motion or the log that shows more of it."""
+        """Yield open questions, with the motion or the log that shows more of it."""
         rms, move = self.rms.held_out_after, None
         if self.verdict == "unexplained":
             curved = any(cause.stands_for == "curve over speed" for cause in self.causes)
@@ -342,7 +342,7 @@ class Diagnosis(Shown):
         return f"{self.verdict}: {self.summary}", ("kind", "statement (+-: 2 sigma)", "next"), rows
 
     def to_json(self) -> dict[str, Any]:
-        """Content of diagnosis.json; what is not finite becomes null."""
+        """Content of diagnosis.json; non-finite numbers become null."""
         rms, named = self.rms, self.machine.plant.units.named
         return make_document(
             self.machine,

@@ -1,4 +1,4 @@
-"""Every other candidate in each cause's place: what fits as well on this record, and what fits better."""
+"""Every other candidate in each cause's place: those that fit as well on this record, and better."""
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -264,7 +264,7 @@ def _judge(subject: Subject, place: _RivalPlace, name: str, trial: Fit, criteria
 def _compare(
     subject: Subject, place: _RivalPlace, name: str, trial: Fit, criteria: Criteria
 ) -> tuple[Judgement, float]:
-    """The same by what both leave."""
+    """The same by the residuals of both."""
     material = criteria.material
     has_same_clock = criteria.has_same_clock(place.cause, name)
     steady = find_steady_blocks(subject.recording) if has_same_clock else None

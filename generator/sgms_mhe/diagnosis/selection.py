@@ -56,7 +56,7 @@ class SelectionStep:
 def search_step(
     subject: Subject, current: Fit, number: int, seen: Collection[str], criteria: Criteria
 ) -> SelectionStep:
-    """Search, refit the best, choose the one to add to the current fit; `seen`: what looked good before."""
+    """Search, refit the best, choose the one to add to the current fit; `seen`: earlier good ones."""
     names = list_addable(subject.machine, current.effects, criteria)
     candidates = _candidates(subject, current, names, seen, criteria)
     significant = [
@@ -108,7 +108,7 @@ def _refits(
 ) -> dict[str, Fit]:
     """Fits with each candidate of a shortlist, where it can be fitted.
 
-    What takes the elements' motion from them costs a hundred times the others: only where these leave it a chance.
+    Candidates that change the elements' motion cost a hundred times the others: only where these leave it a chance.
     """
     cheap = [r for r in shortlist if not effect_definition(r.proposal.name).drives_elements]
     fits: dict[str, Fit] = {}
@@ -200,7 +200,7 @@ class Searched:
     Attributes:
         laws: the transitions, with the one that fits.
         fit: effects found, all of the machine's numbers refitted.
-        criteria: what matters from now on.
+        criteria: from now on.
         scores: of all rounds.
         seen: effects that ever looked good.
         left_out: those of them whose model is not finite at the numbers that it was fitted with.
@@ -215,7 +215,7 @@ class Searched:
 
 
 def search_causes(laws: Laws, criteria: Criteria) -> Searched:
-    """Search the causes; again without an effect whose states are at the edge of what the model's steps can follow.
+    """Search the causes; again without an effect whose states are at the limit of the model's integration steps.
 
     Raises:
         FitError: the model is not finite without such effects either.

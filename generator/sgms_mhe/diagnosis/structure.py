@@ -72,7 +72,7 @@ def _coordinates(recording: Recording) -> dict[str, Array]:
 
 
 def force_over_speed(recording: Recording, residual: Array) -> float:
-    """RMS of what a residual (m) holds as a function of velocity, on the used rows and beyond their noise [N]."""
+    """RMS of a residual's (m) function of velocity, on the used rows and beyond their noise [N]."""
     return _binned(recording, residual, "velocity", recording.velocity).rms_N
 
 
@@ -81,7 +81,7 @@ def leaves_curve(
 ) -> bool:
     """Return True if a good part of a residual (m) is a curve over speed, and it matters.
 
-    Of one speed there is no curve: what is one over the encoder's noise is none over speed.
+    Of one speed there is no curve: a curve over the encoder's noise is none over speed.
 
     Args:
         recording: the record.

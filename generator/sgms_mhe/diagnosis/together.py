@@ -32,11 +32,11 @@ def diagnose(
     held_out_s: Sequence[tuple[float, float]] | None = None,
     objective: Objective = "force",
 ) -> Diagnosis:
-    """Say what a machine's model gets wrong along a log, and why.
+    """Find the errors of a machine's model along a log, and their causes.
 
     Args:
         machine: the axis as it is believed to be.
-        log: what was measured.
+        log: the measurements.
         others: further records of this axis: causes are sought on all where the first does not account for them, the
             numbers fitted to all, the causes judged on each.
         progress: called with each step and the share of the work before it.

@@ -9,7 +9,7 @@ from sgms_mhe.support.arrays import Array, Index, Mask
 class Traces:
     """Signals at the rate of the fit, all (m,).
 
-    time [s] from the log's first sample to what the row tells of, position [m], velocity [m/s], acceleration [m/s^2],
+    time [s] from the log's first sample to the instant of the row, position [m], velocity [m/s], acceleration [m/s^2],
     force [N], friction measured [N], simulated by the machine as it is, with refitted base parameters and no new
     effect, and by the extended model (parameters of all data); `held_out_fit_N` is the extended model fitted without
     the held-out segments.

@@ -1,8 +1,8 @@
 """Causes of one record fitted to and judged on several records of the same axis.
 
-What belongs to a record is fitted in each: a constant offset, the Coulomb level and the damping, which temperature
+Numbers of a record are fitted in each: a constant offset, the Coulomb level and the damping, which temperature
 changes, and, unless the axis is homed, the origin of its position. All else that was found is common to the records.
-Each record in turn is held out of the fit of that, and what the others say is judged there.
+Each record in turn is held out of the fit of that, and the others' result is judged there.
 """
 
 import math
@@ -119,7 +119,7 @@ def predicts_better(found: Diagnosis, other: Diagnosis) -> bool:
 
 
 def leaves_something(found: Diagnosis) -> bool:
-    """Return True if what a first record says leaves a force that matters of the records as one, or several answers."""
+    """Return True if a first record's numbers leave a material force of the joined records, or several answers."""
     left = [found.rms.held_out_after, *(record.common_after for record in found.records[1:])]
     floors = [record.noise_floor_N for record in found.records]
     beyond = float(np.mean(np.square(left)) - np.mean(np.square(floors)))
@@ -151,7 +151,7 @@ class _AxisRecord:
         fit: the extended machine along it, in line with that.
         file: along the machine of the file.
         counted_from: position that is 0 now [m].
-        origin: what the record says of that; None: not asked.
+        origin: by the record; None: not asked.
     """
 
     name: str
@@ -191,7 +191,7 @@ class _AxisRecord:
     def judge(
         self, found: Diagnosis, causes: Sequence[Cause], after: RecordFit
     ) -> tuple[JudgedRecord, LearnedRecord | None]:
-        """Judge causes, the extended machine and what was learned; `after`: the record by the others' numbers."""
+        """Judge causes, the extended machine and learned tables; `after`: the record by the others' numbers."""
         fit, recording = after.fit(after.theta, after.free(), after.seen), after.subject.recording
         floor, plain, with_it = noise_floor(recording, fit.residual), plain_friction(self.file), None
         before = RecordFit.of(Subject.of(found.machine, self.file)).align()
@@ -214,7 +214,7 @@ class _AxisRecord:
 
 
 def _find_origin(found: Diagnosis, recording: Recording, log: Log) -> Origin | None:
-    """Return what another record tells of its origin; None where the axis is homed."""
+    """Return another record's origin; None where the axis is homed."""
     extended = found.extended or found.machine
     if extended.log is not None and extended.log.homed:
         return None

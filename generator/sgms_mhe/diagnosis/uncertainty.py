@@ -34,7 +34,7 @@ RUNAWAY: Final = 10.0  # slope over the logarithm of a number of the machine, ov
 def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
     """Return True if the effect added last explains noise: that is most of its gain (RMS) [N].
 
-    Asked of what is about as fast as a sample and of what acts on the acceleration; nothing else follows noise.
+    For effects about as fast as a sample and effects on the acceleration; no other one follows noise.
     """
     if not fit.effects:
         return False
@@ -45,7 +45,7 @@ def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
 
 
 def find_explained_noise(subject: Subject, fit: Fit) -> float:
-    """RMS of what the effect added last takes out of a residual that is the encoder's noise [N].
+    """RMS explained by the effect added last in a residual of the encoder's noise [N].
 
     A delay makes other noise of it, but not less.
     """
@@ -63,7 +63,7 @@ def noise_residual(recording: Recording, fit: Fit, theta: Array) -> Array:
 
 
 def inertial_noise(recording: Recording) -> Array:
-    """Force that the encoder's noise makes of the acceleration (m) [N]: as large as what is in measured friction."""
+    """Force that the encoder's noise makes of the acceleration (m) [N]: as large as in measured friction."""
     noise = add_noise(recording).signals.acceleration - recording.signals.acceleration
     return recording.reduce(recording.inertia * noise)
 
@@ -88,7 +88,7 @@ class NumberErrors:
 
     Attributes:
         information: joint one of the used rows and priors (free, free).
-        noise: covariance by noise, and by what the model gets wrong here or there (free, free).
+        noise: covariance by noise, and by the model's error here or there (free, free).
         shifts: changes that the same error makes in every record (k, free): by the law, by the encoder's noise, by its
             steps.
         timing: deviation of numbers that are a time between force and position (free).
@@ -123,9 +123,9 @@ def find_errors(subject: Subject, fit: Fit, other: Subject | None = None) -> Num
 def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Array:
     """Covariance of theta (n_p, n_p), 0 where not free.
 
-    Noise and what the model gets wrong anywhere (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR
-    of that, which it may hide; what the law gets wrong, the same way at every reversal (`_law`); what the encoder's
-    noise (`_noise`) and its steps (`_shift_by_steps`) make of the numbers; and of a delay or lag, the timing of force
+    Noise and the model's error anywhere (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR
+    of that, which it may hide; the law's error, alike at every reversal (`_law`); the effect of the encoder's
+    noise (`_noise`) and its steps (`_shift_by_steps`) on the numbers; and of a delay or lag, the timing of force
     against position that no log is sure of.
 
     Args:
@@ -165,8 +165,8 @@ def correlate(subject: Subject, fit: Fit, covariance: Array) -> Array:
 def _timing(subject: Subject, fit: Fit) -> Array:
     """Deviation of each number that is a time between force and position (n_p), 0 of others.
 
-    Anywhere within what they may be apart for other reasons: a uniform distribution. Of a delay of the axis that is
-    what a drive may add to it by holding its force; a smaller one is that itself, and known as well as it is seen.
+    Anywhere within their possible shift for other reasons: a uniform distribution. Of a delay of the axis it is
+    the delay by a drive that holds its force; a smaller one is that itself, and known as well as it is seen.
     """
     step = subject.whole.machine.sampling.step
     deviations = []
@@ -186,10 +186,10 @@ def standard_deviations(covariance: Array, fit: Fit) -> list[float]:
 
 
 def _is_smooth(subject: Subject, fit: Fit, jacobian: Array) -> Mask:
-    """Rows (m) whose slopes (m, n_p) say what a change of the numbers of a fit does.
+    """Rows (m) whose slopes (m, n_p) give the effect of a change of a fit's numbers.
 
     Where elements let go or a gap opens again and again along a short way, a derivative grows with every time, far
-    beyond what any real change makes: no friction changes by many times itself where a number of the machine changes by
+    beyond any real change: no friction changes by many times itself where a number of the machine changes by
     as much as it is. By as much as the file's would be no scale: of a stiffness that is gone each slope is large.
     """
     own = [c.group.kind == "base" for c in fit.model.columns]
@@ -229,8 +229,8 @@ def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wron
     """Return the bias of the free parameters because the axis does not slip by the law (free).
 
     An axis switches, a law is smooth, and the difference comes back at every reversal: no average over blocks sees it.
-    How it acts on each number is what a change of the law does: the other transition's friction minus this one's is
-    split into what the free parameters make up for, which moves them, and what they cannot. As much of the latter as
+    It acts on each number as a change of the law does: the other transition's friction minus this one's is
+    split into the part explained by the free parameters, which moves them, and the rest. As much of the latter as
     the residual has beyond noise (`wrong` [N]), so much of the former is in the numbers.
     """
     nothing = np.zeros(len(inverse))

@@ -66,11 +66,11 @@ def diagnose_logs(
     *,
     is_rough: bool = True,
 ) -> Diagnosis:
-    """Say what a machine's model gets wrong along logs of its axis as one record.
+    """Find the errors of a machine's model along logs of its axis as one record.
 
     Args:
         machine: the axis as it is believed to be.
-        logs: one or several; what belongs to each is free in it.
+        logs: one or several; numbers of each are free in it.
         held_out_s: as of `diagnose`, of the first log.
         told: of each step.
         is_rough: whether the file's numbers may be far from the record's.
@@ -112,7 +112,7 @@ def _diagnose_again(
     held_out_s: Sequence[tuple[float, float]] | None,
     told: ProgressReport,
 ) -> Diagnosis:
-    """Diagnose anew what began from numbers that were identified with the causes still in the record.
+    """Diagnose anew from a start that was identified with the causes still in the record.
 
     Args:
         file: the log along the machine of the file.
@@ -336,7 +336,7 @@ def _diagnosis(
 
 
 def _combine_causes(final: FinalFit, judged: Judged) -> tuple[KnownCombination, ...]:
-    """Return what the record knows of causes that it does not tell apart, every number of the machine free."""
+    """Return the determined combinations of collinear causes on the record, every number of the machine free."""
     selection = judged.found.selection
     if len(judged.found.causes) < 2:
         return ()

@@ -28,7 +28,7 @@ def write_extended(diagnosis: Diagnosis, folder: Path) -> None:
 
 
 def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:
-    """Write diagnosis.json of a log that cannot be what it says, and nothing else; return its content."""
+    """Write diagnosis.json of a log that contradicts its names, and nothing else; return its content."""
     refusal = Statement(Rule.REFUSED, "record", numbers={"reason": sentence})
     content = make_document(machine, "unexplained", [refusal], law=machine.friction.law, limits=[sentence])
     folder = Path(out_dir)

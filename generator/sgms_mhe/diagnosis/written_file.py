@@ -46,7 +46,7 @@ class WrittenError:
         return cls(log.source or "log", before, after, force, motion, log.units.position)
 
     def state(self, push: str) -> Iterator[Statement]:
-        """Yield the statements on both; `push`: what moves the axis."""
+        """Yield the statements on both; `push`: force or torque."""
         force = self.force if self.force > 0.0 else math.nan
         numbers: dict[str, float | str] = {"before": 100.0 * self.before / force, "push": push}
         yield Statement(Rule.WRITTEN, self.name, 100.0 * self.after / force, None, "%", numbers)

@@ -51,7 +51,7 @@ class EquationPrinter(CPrinter):
         return f"{name} = {expression};"
 
     def operation(self, node: Node, arguments: list[str]) -> str | None:
-        """Return the text of what the language writes otherwise than C, in parentheses of its own; else None."""
+        """Return the text of a node that the language writes otherwise than C, in parentheses of its own; else None."""
         language, op = self._language, node.op
 
         def where(condition: str, value: str, other: str) -> str:
@@ -108,7 +108,7 @@ class AxisModel:
 
 
 def axis_model(machine: Machine) -> AxisModel:
-    """Assemble the model of what moves: effects of the measurement and the estimator's sampling left out.
+    """Assemble the model of the moving axis: effects of the measurement and the estimator's sampling left out.
 
     Raises:
         InputError: an effect cannot be built with its numbers.
@@ -150,7 +150,7 @@ def find_place_force(machine: Machine, effect: ResolvedEffect) -> tuple[float, .
 
 
 def _is_measurement(machine: Machine, effect: ResolvedEffect) -> bool:
-    """Return True if an effect changes what is measured, not how the axis moves.
+    """Return True if an effect changes the measurement, not the motion of the axis.
 
     Effects of the stage `log` are between the force that acts and the one that is logged; one whose states follow the
     logged force makes the drive late.

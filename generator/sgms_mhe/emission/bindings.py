@@ -81,7 +81,7 @@ class Variable:
         kind: of number.
         causality: of whom it comes.
         unit: in the notation of FMI; empty where it has none.
-        text: what it is.
+        text: its meaning.
         code: C expression that reads it, of `self`, an axis with its inputs, and `now`, its estimate.
         start: where it does not come from the estimator.
         least, most: limits, where it has any.

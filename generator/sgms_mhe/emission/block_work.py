@@ -146,7 +146,7 @@ class GroupWork:
         return self.level + 80 + EXP + near + 9 * self.g.sizes.n_q
 
     def _flow(self, inverse: int, polynomials: int) -> int:
-        """psi, its inverse (an exponential of this cost) and so many polynomials, or what lies beside the table."""
+        """psi, its inverse (an exponential of this cost) and so many polynomials, or the part beside the table."""
         degree = self.of.flow.table.degree if self.of.flow else 0
         return 42 + EXP + LOG + inverse + 2 * polynomials * degree
 

@@ -65,7 +65,7 @@ def check_budget(machine: Machine, work: Work) -> None:
     """Refuse a machine whose longest tick takes more than its budget.
 
     Raises:
-        InputError: it does; the message says what takes most, and what to change.
+        InputError: it does; the message names the largest part, and the remedy.
     """
     budget = machine.code.tick_budget or OPERATION_RATE / machine.sampling.rate
     if work.tick <= budget:

@@ -22,7 +22,7 @@ REAL: Final = re.compile(r"(?<![\w.])(?:\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)f?(?
 class CPrinter:
     """Prints nodes as C99 of one precision.
 
-    tables: names of the arrays that what was printed looks up, by content.
+    tables: names of the arrays used by the printed code, by content.
     """
 
     def __init__(self, precision: str) -> None:

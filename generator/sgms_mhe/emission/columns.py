@@ -1,6 +1,7 @@
 """Lines of emitted C within a width: comments are filled anew, statements break where a reader expects it.
 
-A template cannot know how long a line gets: names of machines and parameters stand in it. What fits stays as it is.
+A template cannot know how long a line gets: names of machines and parameters stand in it. A line that fits stays as it
+is.
 """
 
 import re
@@ -32,8 +33,8 @@ class _Break(NamedTuple):
     """A place where a line may end.
 
     Attributes:
-        at: position of what goes to the next line.
-        level: brackets around it, and how much what stands there binds.
+        at: position of the next line's first character.
+        level: brackets around it, and the binding strength of the operator there.
         opens: an assignment, or the bracket of a call.
     """
 
@@ -161,7 +162,7 @@ def _break_of(line: str, limit: int, deeper: int) -> int | None:
     """Return the position to break a line at; None where it has none.
 
     Behind an assignment or the bracket of a call, where nothing outside of them can be broken and the rest then fits;
-    else in its second half in the fewest brackets, at what binds least, as late as possible. Before the name of a
+    else in its second half in the fewest brackets, at the weakest operator, as late as possible. Before the name of a
     function where there is no such place.
     """
     breaks = [b for b in _breaks(line) if deeper < b.at <= limit]

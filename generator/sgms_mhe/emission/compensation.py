@@ -23,7 +23,7 @@ class Ahead:
         longest: duration of the longest move [s].
         curve: a / k of du/dxi = -k u + a u^2 about the fixed point.
         powers: k / ln 2 of the same.
-        forgotten: powers of two after which what was before makes no difference.
+        forgotten: powers of two after which the past makes no difference.
         displacement: largest move per Runge-Kutta step, in deflection scales: no sensitivity hangs on it.
         farthest: move in deflection scales after which an element slides, wherever it was.
         equal: slip, and relative deflections, that may be neglected.

@@ -57,7 +57,7 @@ class LastingRule:
 
     Attributes:
         block: intervals with motion of a block.
-        most: a block's square counts no more than so many times what it is on average.
+        most: a block's square counts no more than so many times its average.
         forgets: share that a mean over blocks forgets with an interval.
         doubted: factor, over the known colour, beyond which the measurements contradict the model.
     """
@@ -129,7 +129,7 @@ class SignalView:
 
 @dataclass(frozen=True)
 class EmittedWeights:
-    """Weights of the least squares, and limits of what is a solution.
+    """Weights of the least squares, and limits of an accepted solution.
 
     Attributes:
         readings: of the means of test ratios.
@@ -138,7 +138,7 @@ class EmittedWeights:
         hold_path: path of an interval below which it says nothing of the parameters [m].
         implausible: first node's standard deviations beyond which a state is no solution (docs/estimation.md).
         lower, upper: bounds on theta, finite numbers.
-        pause_sd: of what a power cycle changes in each theta.
+        pause_sd: of the change of each theta over a power cycle.
         state_noise, inverse_initial_state: per state.
         along_path: which states have their noise with the path; noise_length: along which it comes up to that [m], 0
             where there is none; least_noise: share of its variance without motion.
@@ -171,14 +171,14 @@ class ModelView:
     """The symbolic model as functions, and its parameters.
 
     Attributes:
-        sample_terms: term of w. term_names: what they are.
+        sample_terms: term of w. term_names: their meaning.
         parameter_terms: q, d_q, scale, d_scale of theta.
         output: y, c, d of (x, w, theta).
-        of_signals: y of w: what signals alone add to the output; None where they add nothing.
+        of_signals: y of w: part of the output from signals alone; None where they add nothing.
         deflection: z of (x, theta).
         si: p of theta, in SI units.
         feed_forward: y of (x, w, theta).
-        parameters: free ones, whose `scale` is what one unit of theta is.
+        parameters: free ones, whose `scale` is one unit of theta.
     """
 
     sample_terms: Function
@@ -201,10 +201,10 @@ class PackageView:
         machine: the file's numbers, as it says them.
         law: constants of the law, where a group is emitted as it.
         flow: constants of the displacement flow, where a group follows it.
-        statuses: of an update, and what each asks for.
+        statuses: of an update, and the remedy for each.
         vectors: self-test vectors, where the package has them.
-        work: what the calls take at most, once the rest is known.
-        tables: (name, values) of what the model looks up by position.
+        work: of the calls at most, once the rest is known.
+        tables: (name, values) looked up by position in the model.
     """
 
     machine: Machine
@@ -228,7 +228,7 @@ class PackageView:
 
 
 def package_view(structure: Structure) -> PackageView:
-    """Assemble what templates read of a model, self-test vectors aside. Raises InputError: it has no parameter."""
+    """Assemble the templates' view of a model, self-test vectors aside. Raises InputError: it has no parameter."""
     model, machine = structure.model, structure.model.machine
     if model.n_p == 0:
         raise InputError(machine.source, "estimator.parameters", [], "at least one parameter to estimate")
@@ -295,7 +295,7 @@ def _find_row_signals(model: Model) -> tuple[str, ...]:
 
 
 def _split_off_signals(model: Model, kept: Sequence[str]) -> ca.SX:
-    """Return what signals but those kept add to the output, whatever the state and the parameters are."""
+    """Return the part of the output from all signals but those kept, whatever the state and the parameters are."""
     output = ca.substitute(
         _to_node_state(model, model.output),
         ca.vertcat(model.x, model.theta),

@@ -23,10 +23,10 @@ class Delivery:
     """The C of a package as its build files and its page name it.
 
     Attributes:
-        sources: what is compiled.
-        headers: what it includes; the public one is the first.
+        sources: compiled files.
+        headers: included files; the public one is the first.
         public: headers that another project includes.
-        memory: bytes of what they declare.
+        memory: bytes of their declarations.
         variables: of the axis, as block diagrams see it.
     """
 
@@ -40,16 +40,16 @@ class Delivery:
 def accompany(
     view: PackageView, files: Mapping[str, str], memory: Memory, bindings: Mapping[str, str]
 ) -> tuple[dict[str, str], dict[str, bytes], tuple[str, ...]]:
-    """A package's files with what comes beside its C.
+    """A package's files with the files beside its C.
 
     Args:
         view: of the package.
         files: its C and its reports, by name.
-        memory: bytes of what the C declares.
+        memory: bytes declared by the C.
         bindings: templates of the bindings that come along, by file name.
 
     Returns:
-        Text by file name, archives by file name, and what they lack, sentence by sentence.
+        Text by file name, archives by file name, and the missing ones, sentence by sentence.
     """
     name = view.package.name
     public = f"{name}.h"
@@ -90,7 +90,7 @@ def _archives(
 
 
 def manifest(view: PackageView, files: Mapping[str, str], archives: Mapping[str, bytes]) -> str:
-    """SHA-256 of every file, and what they were generated from."""
+    """SHA-256 of every file, and their sources."""
     package = view.package
     contents = {file: text.encode() for file, text in files.items()} | dict(archives)
     content = {
@@ -146,7 +146,7 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path) -> None:
 
 
 def _foreign(folder: Path) -> list[str]:
-    """Names of what is in a folder and belongs to no package: its manifest lists what does."""
+    """Names of files in a folder outside of its package, which its manifest lists."""
     listed = folder / MANIFEST
     names = {path.name for path in folder.iterdir()}
     if listed.is_file():

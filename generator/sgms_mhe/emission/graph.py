@@ -1,7 +1,7 @@
-"""Expression graph between CasADi and C: hash-consed nodes that know what they depend on.
+"""Expression graph between CasADi and C: hash-consed nodes that know their inputs.
 
-CasADi differentiates; this graph stages. Every node carries the set of inputs it depends on, so that what depends on
-parameters alone or on signals alone can be found and computed once instead of in every Runge-Kutta stage.
+CasADi differentiates; this graph stages. Every node carries the set of inputs it depends on, so that expressions of
+parameters alone or of signals alone can be found and computed once instead of in every Runge-Kutta stage.
 """
 
 from collections import Counter

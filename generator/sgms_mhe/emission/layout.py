@@ -1,4 +1,4 @@
-"""Bytes of what emitted C declares, read from its text: the memory of an axis, and tables of constants.
+"""Bytes declared by emitted C, read from its text: the memory of an axis, and tables of constants.
 
 For processors on which numbers of 64 bits lie at multiples of eight bytes, as they do on Arm, RISC-V and x86-64.
 """
@@ -42,7 +42,7 @@ class Memory:
     Attributes:
         axis: of the memory of one axis.
         estimate: of an estimate.
-        saved: of what outlives the power.
+        saved: of data kept over a power cycle.
         tables: of the estimator's constant tables.
         vectors: of those of the self-test; 0 where there is none.
     """

@@ -1,7 +1,7 @@
-"""Operations of emitted functions: what one call costs, in arithmetic on the package's numbers.
+"""Operations of emitted functions: the cost of one call, in arithmetic on the package's numbers.
 
 An operation is one addition, subtraction, multiplication, division, comparison or absolute value. Functions without a
-library are counted by what they consist of, in double precision, whose polynomials are the longer ones.
+library are counted by their parts, in double precision, whose polynomials are the longer ones.
 """
 
 from collections.abc import Mapping

@@ -23,7 +23,7 @@ RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h
 
 @dataclass(frozen=True, repr=False)
 class Package(Shown):
-    """Emitted files by name: text, and archives of bindings; with what is missing of the latter, in sentences."""
+    """Emitted files by name: text, and archives of bindings; with the missing ones of the latter, in sentences."""
 
     machine: Machine
     files: Mapping[str, str]
@@ -47,14 +47,14 @@ def emit_package(
 
     Args:
         machine: the machine file.
-        model: its symbolic model, where that is not what `build_model` makes of the machine.
+        model: its symbolic model, where that is not `build_model` of the machine.
         selftest: with the self-test vectors, for which the reference solver has to run.
         within_budget: refuse a machine whose longest tick takes more operations than its budget.
         amalgamate: all C in one source and one header.
         bindings: languages and tools that the package is to be called from besides, of `BINDINGS`.
 
     Raises:
-        InputError: the machine asks for something that cannot be emitted; the message says what.
+        InputError: the machine asks for something that cannot be emitted; the message names it.
     """
     bound = binding_files(tuple(bindings), machine.name)
     structure = analyse(model or build_model(machine))

@@ -112,7 +112,7 @@ def dot_unit(unit: str) -> str:
 
 
 def stamp_digest(view: PackageView) -> PackageView:
-    """The view with the digest of what the public header declares."""
+    """The view with the digest of the public header's declarations."""
     header = _render(view, "machine.h", "double")
     return replace(view, package=replace(view.package, header_digest=declared_digest(header)))
 
@@ -133,7 +133,7 @@ def _render(view: PackageView, template: str, precision: Precision, *, wraps: bo
 
 @lru_cache(maxsize=2)
 def _environment(precision: Precision) -> jinja2.Environment:
-    """Templates and what they call; compiled templates stay with it."""
+    """Templates and their functions; compiled templates stay with it."""
     printer = CPrinter(precision)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(templates_dir()),

@@ -14,7 +14,7 @@ class Costs:
 
     Attributes:
         expand: the node of an older interval from its successor's.
-        step: a step of the series of what is linearised anew.
+        step: a step of the series of the intervals linearised anew.
         readings: those of an older interval into the sweep's factor.
         condense: a node out of that.
         fold: a measurement inside the newest interval into it.

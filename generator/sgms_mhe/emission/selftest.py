@@ -1,4 +1,4 @@
-"""Self-test vectors of a package: a short motion and what the reference solver estimates from it."""
+"""Self-test vectors of a package: a short motion and the reference solver's estimates from it."""
 
 import math
 from dataclasses import dataclass, replace

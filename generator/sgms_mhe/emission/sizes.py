@@ -1,4 +1,4 @@
-"""Sizes of a package: what there is to count, and how the arrays of an axis's memory are laid out."""
+"""Sizes of a package: counts, and the layout of the arrays of an axis's memory."""
 
 from dataclasses import dataclass
 
@@ -56,7 +56,7 @@ class GroupSizes:
 
     @property
     def all_rows(self) -> int:
-        """Rows of a block with what is constant over an interval behind those that move."""
+        """Rows of a block, those constant over an interval behind those that move."""
         return self.rows + self.n_q + self.n_constants
 
 
@@ -132,12 +132,12 @@ class Sizes:
 
     @property
     def inner_rows(self) -> int:
-        """Rows that say of (x, theta) what all measurements inside an interval say."""
+        """Rows over (x, theta) equivalent to all measurements inside an interval."""
         return min(self.inner, self.factor_rows)
 
     @property
     def root(self) -> int:
-        """Numbers of the upper triangle of what is known of the parameters alone."""
+        """Numbers of the upper triangle of the information on the parameters alone."""
         return self.parameters * (self.parameters + 1) // 2
 
     def triangle_row(self, row: int) -> int:

@@ -1,8 +1,8 @@
-"""Structure analysis: what of the symbolic model is independent, shared, or computed once.
+"""Structure analysis: parts of the symbolic model that are independent, shared, or computed once.
 
 Found from the expressions, never assumed: blocks of states that depend on no state outside the block (from the Jacobian
-of the right side), groups of blocks that are the same function of different numbers, parameter terms (what depends on
-parameters alone, once per update), sample terms (what depends on signals alone, once per sample), and the few scalars
+of the right side), groups of blocks that are the same function of different numbers, parameter terms (functions of
+parameters alone, once per update), sample terms (functions of signals alone, once per sample), and the few scalars
 through which the parameters enter a block, which are the only ones its sensitivities are propagated for.
 """
 
@@ -114,7 +114,7 @@ class Structure:
 
     Attributes:
         groups: groups of blocks.
-        sample_terms: what is stored per step; the first is always the velocity.
+        sample_terms: stored per step; the first is always the velocity.
     """
 
     model: Model
@@ -145,8 +145,8 @@ def sparsity(expression: ca.SX, variables: ca.SX) -> np.ndarray[tuple[int, int],
 def upstream_states(model: Model, states: Sequence[int]) -> tuple[int, ...] | None:
     """The states of a block beside its first, where that is a Maxwell-slip element and they leave it its flow.
 
-    They must be effects' states that each obey a linear equation of their own: constant through a step, signals then move
-    them in closed form, and the element sees the level that they reach. None where the block is of another kind.
+    They must be effects' states that each obey a linear equation of their own: constant through a step, signals then
+    move them in closed form, and the element sees the level that they reach. None where the block is of another kind.
     """
     if model.states[states[0]].element is None or any(model.states[i].element is not None for i in states[1:]):
         return None
@@ -159,7 +159,7 @@ def upstream_states(model: Model, states: Sequence[int]) -> tuple[int, ...] | No
 
 
 def _is_term(node: Node) -> bool:
-    """Return True for what is stored with a step: signals, and functions of signals too expensive to repeat."""
+    """Return True for a term stored with a step: signals, and functions of signals too expensive to repeat."""
     return node.inputs == {"w"} and (node.op == "input" or node.is_expensive)
 
 

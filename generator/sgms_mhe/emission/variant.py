@@ -21,8 +21,8 @@ class Variant:
         relinearise: which older intervals an update linearises anew; "newest" where there are none.
         fixed: the arrival cost keeps its weights.
         bounded: a parameter has a bound.
-        resumes: the sweep begins where something has changed: the factor before an interval stays what it is while
-            linearisations are kept and the output is affine in what is estimated.
+        resumes: the sweep begins where something has changed: the factor before an interval stays while
+            linearisations are kept and the output is affine in the estimated numbers.
         rounding: share of a measurement's noise that velocities kept in single precision cost at most; 0: they are not.
         thins: every second factor of the sweep is kept; the one between is found again where it is needed.
         merges: a step of the series is a line through several samples.
@@ -105,8 +105,8 @@ class Status:
     Attributes:
         name: of its constant, without the machine's prefix.
         value: a power of two, or negative where a call is refused.
-        meaning: what has happened.
-        remedy: what the application does about it.
+        meaning: of the flag.
+        remedy: action of the application.
     """
 
     name: str

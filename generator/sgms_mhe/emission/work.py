@@ -1,7 +1,7 @@
 """Worst-case work of a package, in operations, from its structure: nothing that comes in makes more of it.
 
 Counted as a processor without vector registers does them. With vectors several are done at once, also in lanes that no
-one needs; docs/emission.md tells what an operation is.
+one needs; docs/emission.md defines an operation.
 """
 
 from bisect import bisect_right
@@ -41,7 +41,7 @@ def work_of(of: PackageView) -> Work:
     sizes, variant = of.sizes, of.variant
     groups = [(g, GroupWork(g, of)) for g in of.groups]
     terms, signals = operations_of(of.model.sample_terms), len(of.signals.raw)
-    least_squares = _LeastSquares(of)
+    least_squares = _LeastSquaresCost(of)
     without_step = (
         FILTERS + SAMPLE + of.compensation.moves * terms + operations_of(of.model.feed_forward) + sizes.states
     )
@@ -85,7 +85,7 @@ def work_of(of: PackageView) -> Work:
     )
 
 
-class _LeastSquares:
+class _LeastSquaresCost:
     """Costs of measurements, of the sweep and of the feedback.
 
     Attributes:
@@ -181,7 +181,7 @@ class _LeastSquares:
         return newest + reading + solved + checked + again
 
 
-def _dearest_in_sample(least_squares: _LeastSquares, step: int) -> list[Unit]:
+def _dearest_in_sample(least_squares: _LeastSquaresCost, step: int) -> list[Unit]:
     """Return the units of most operations that tick() does in one sample: as many in a row as the schedule lets it.
 
     Intervals are condensed from any one on, and where none is linearised anew there are no steps.

@@ -42,10 +42,10 @@ class Check:
     """One check of one machine.
 
     Attributes:
-        machine: name of the file, or what it was asked for by.
+        machine: name of the file, or the name given.
         name: of the check.
         seconds: that it took.
-        failure: what is wrong and what to do; empty: nothing.
+        failure: the error and its remedy; empty: none.
         skipped: why it was not made; empty: it was.
     """
 
@@ -69,7 +69,7 @@ class _Course:
     checks: list[Check] = field(default_factory=list)
 
     def check(self, name: str, made: Callable[[], T]) -> T | None:
-        """Make a check: what it raises that a user can mend is its failure. What it returns; None where it failed."""
+        """Make a check, and return its result; an error that a user can mend is its failure, and None is returned."""
         self.progress(f"{self.machine}: {name}")
         started, failure, result = time.monotonic(), "", None
         try:
@@ -137,7 +137,7 @@ def _counts(checks: Sequence[Check]) -> dict[str, str]:
 
 
 def _same_files(package: Package, folder: Path) -> None:
-    """The folder holds what the file gives, byte for byte, and nothing else; with the bindings that it has files of."""
+    """The folder equals the package of the file, byte for byte; with the bindings that it has files of."""
     name = package.machine.name
     remedy = f"sgms-mhe generate {package.machine.source} --out {folder}"
     if not folder.is_dir():
@@ -220,7 +220,7 @@ def build_selftest(package: Package, target: Target, folder: Path) -> Path:
 
 
 def _selftest_sources(package: Package, folder: Path, entry: str) -> list[Path]:
-    """Write a package and a program that returns what its self-test says; the C files of both."""
+    """Write a package and a program that returns the result of its self-test; the C files of both."""
     name = package.machine.name
     write_package(package, folder / name)
     main = folder / "main.c"

@@ -8,9 +8,9 @@ normal number of that variance. Its mean over a record,
 is least for the weights that describe the axis: with too small a variance misses are punished, with too large a one the
 variance is. A measurement five deviations off counts no more than that: it is a fault, and no reason to believe in
 noise. The estimator that is asked is the filter without self-scaling, which carries the information of the window,
-with one measurement per update: measurements that follow each other closely share their noise, and what predicts the
-next one best then believes too much. How many measurements an update may take is a matter of the signal chain, not of
-likelihood.
+with one measurement per update: measurements that follow each other closely share their noise, and weights that
+predict the next one best then believe too much. How many measurements an update may take is a matter of the signal
+chain, not of likelihood.
 """
 
 import math
@@ -107,7 +107,7 @@ class Tuned(Shown):
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """Return the statements on every weight that was moved, and on what the log is like under them."""
+        """Return the statements on every weight that was moved, and on the log under them."""
         start, best, estimator = self.start, self.best, self.machine.estimator
         found = []
         for name in (name for name, tried in self.trials.items() if len(tried) > 1):
@@ -149,7 +149,7 @@ class Tuned(Shown):
 def tune(machine: Machine, log: Log, report: Progress = lambda _: None, objective: Objective = "force") -> Tuned:
     """Find the weights of a machine under which a log is likeliest, and the horizon that goes with them.
 
-    One weight after the other is moved by falling factors until neither way is better, then all of them again. What is
+    One weight after the other is moved by falling factors until neither way is better, then all of them again. A weight
     not better by `WORTH` standard errors stays as it is.
 
     Raises:

@@ -44,7 +44,7 @@ EPISODES: Final = 100
 
 
 def flags_of(status: int) -> list[str]:
-    """Names of what a status says, the gravest first."""
+    """Names of the flags of a status, the gravest first."""
     if status < 0:
         return [REFUSED]
     return [name for name in WORDS if status & FLAGS.get(name, 0)] or ["good"]

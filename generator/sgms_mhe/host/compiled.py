@@ -43,7 +43,7 @@ class _Series(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayedUpdates:
     """Updates of a replay as the C writes them: `rows` (u, columns), `status` (u), `compensation` [N] (n)."""
 
     rows: Array
@@ -192,7 +192,7 @@ class CompiledEstimator:
 
     def _run(
         self, memory: ctypes.Array[ctypes.c_char], piece: Log | Signals, mode: str, progress: Progress | None = None
-    ) -> Replay:
+    ) -> ReplayedUpdates:
         samples, delay = len(piece), 0.0 if isinstance(piece, Log) else piece.delay
         total = max(0, (samples - 1) // self._samples)
         rows = np.zeros((total + 1, self._columns))
@@ -216,9 +216,9 @@ class CompiledEstimator:
             )
             if progress is not None:
                 progress(done, total)
-        return Replay(rows[:done], status[:done].astype(np.int64), compensation)
+        return ReplayedUpdates(rows[:done], status[:done].astype(np.int64), compensation)
 
-    def estimates_of(self, run: Replay, time: Array) -> Estimates:
+    def estimates_of(self, run: ReplayedUpdates, time: Array) -> Estimates:
         """Estimates of a run; `time` of the samples that end an interval, as many as there were updates."""
         n_z, n_p = self.model.n_z, self.model.n_p
         columns = np.split(run.rows, np.cumsum([1, 1, n_z, n_p, n_p]), axis=1)

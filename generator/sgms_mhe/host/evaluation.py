@@ -1,4 +1,4 @@
-"""Expressions evaluated by numpy at many samples at once: what is too little work to be compiled for."""
+"""Expressions evaluated by numpy at many samples at once: work too small to compile for."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
@@ -43,7 +43,7 @@ class Evaluation:
         self._order = walk(self._wanted)
 
     def at(self, known: Mapping[str, Array | float]) -> list[Array]:
-        """Values of all expressions, each a number or (n); what is not finite is no error here.
+        """Values of all expressions, each a number or (n); a non-finite value is no error here.
 
         Args:
             known: inputs by label, numbers or (n).

@@ -16,7 +16,7 @@ SYMBOLIC: Final = threading.RLock()
 
 
 def cached_package(machine: Machine, model: Model | None = None) -> Package:
-    """The machine's package, or of a model what runs it alone, from the cache where it was emitted before.
+    """The machine's package, or that of a model alone, from the cache where it was emitted before.
 
     Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
     """

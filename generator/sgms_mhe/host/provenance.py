@@ -80,7 +80,7 @@ def read_sources(package: Path, templates: Path, runtime: Path) -> Sources:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Files below a folder, but for what editors and interpreters leave there."""
+    """Files below a folder, but for files of editors and interpreters."""
     return [
         path
         for path in folder.rglob("*")

@@ -25,7 +25,7 @@ class Target:
 
     Attributes:
         name: as in the names of its start code and linker script.
-        title: what it is.
+        title: its name.
         prefix: of the compiler and its tools.
         flags: of the compiler, for the core and its FPU.
         emulator: command and arguments of the board, clock included.

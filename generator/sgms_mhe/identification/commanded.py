@@ -18,7 +18,7 @@ from sgms_mhe.identification.search import Progress
 from sgms_mhe.identification.writing import check_toml, machine_toml
 from sgms_mhe.machine import Machine, plant_content
 from sgms_mhe.model.effects import GEAR_FRICTION, PLAY
-from sgms_mhe.recordings.free_run import COMMANDED_STEP_S, MotionRecord, ShotStart
+from sgms_mhe.recordings.free_run import COMMANDED_STEP_S, FreeRunRecord, ShotStart
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.decisions import log_decision
@@ -64,7 +64,7 @@ def identify_drive(logs: Sequence[Log], name: str, like: Machine | None, report:
         report: called with each step.
 
     Raises:
-        InputError: neither a drive nor what makes one.
+        InputError: neither a drive nor keys of one.
     """
     source = logs[0].source or "log"
     if like is None and not all(log.run and log.goal_m is not None and log.kind == "rotary" for log in logs):
@@ -153,7 +153,7 @@ class _FreeRuns:
     def __init__(self, logs: Sequence[Log], machine: Machine, is_known: bool) -> None:
         self.logs, self.machine, self.play = logs, machine, 0.0
         loaded = [carry_load(machine, log.run) for log in logs]
-        self.records = [MotionRecord(m, log) for m, log in zip(loaded, logs, strict=True)]
+        self.records = [FreeRunRecord(m, log) for m, log in zip(loaded, logs, strict=True)]
         play = [(PLAY, {"gap_m": 0.0})]
         self.axes = [record.axis(m, hidden=play) for record, m in zip(self.records, loaded, strict=True)]
         self.starts: list[list[ShotStart]] = []
@@ -239,7 +239,7 @@ class _FreeRuns:
         return least_squares(residual, x, jacobian, bounds=self.bounds, **fits)
 
     def split_by_parts(self, values: Array) -> list[Array]:
-        """Split values (n) of all samples by runs, few of them by parts of each: what repeats itself, or not."""
+        """Split values (n) of all samples by runs, few of them by parts of each: with or without repetition."""
         count = -(-PARTS // len(self.records))
         edges = np.cumsum([sum(b - a for a, b in record.stretches) for record in self.records])[:-1]
         return [part for run in np.split(values, edges) for part in np.array_split(run, count)]
@@ -285,7 +285,7 @@ def _state(name: str, value: float, std: float, is_at_limit: bool) -> Number:
 
 
 def _write(problem: _FreeRuns, found: Any, name: str, play: Statement) -> Identification:
-    """Return the machine with what was found, and the error of its free runs."""
+    """Return the machine with the identified numbers, and the error of its free runs."""
     machine, units = problem.machine, problem.machine.plant.units
     lower, upper = problem.bounds
     x = np.where(found.x - lower < DIFFERENCE, lower, np.where(upper - found.x < DIFFERENCE, upper, found.x))

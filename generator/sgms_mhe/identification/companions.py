@@ -104,7 +104,7 @@ def add_companions(
 
 
 def bend(view: RecordView, fit: AxisFit) -> float:
-    """Return what a force over the place has beside a straight line, over the size of a fit's spring.
+    """Return the deviation of a force over the place from a straight line, over the size of a fit's spring.
 
     0 where there is no spring, or the place shows nothing but a straight line. Beyond 1 the spring is a part of it.
     """
@@ -159,7 +159,7 @@ def _has_limit(name: str, excited: Collection[str]) -> bool:
 
 
 def fit_level_terms(rows: Recording, fit: AxisFit, sliding: Array | None = None) -> tuple[Term, ...]:
-    """Return the effects of the level of a fit, with all trials of what they are not linear in.
+    """Return the effects of the level of a fit, with all trials of their nonlinear parameters.
 
     `sliding`: as of `level_terms`; None: the fit's.
     """
@@ -185,7 +185,7 @@ def spread_level_terms(rows: Recording, fit: AxisFit, terms: Sequence[Term]) -> 
 
 
 def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
-    """Return the records whose elements carry what a fit's load adds to its level: they break away later by as much."""
+    """Return the records whose elements carry the level added by a fit's load: they break away later by as much."""
     terms = [term for term in fit.terms if is_level(term) and term.positive]
     if not terms or not fit.coulomb > 0.0:
         return view

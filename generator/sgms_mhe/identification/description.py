@@ -1,4 +1,4 @@
-"""The numbers of a final fit as those of a machine file, and sentences on what the records leave open."""
+"""The numbers of a final fit as those of a machine file, and sentences on the questions the records leave open."""
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -54,7 +54,7 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
         source: of the refusal.
 
     Raises:
-        InputError: what is needed.
+        InputError: names the needed data.
     """
     fit = final.fit
     beside = [term for term in fit.terms if not is_level(term)]
@@ -88,7 +88,7 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
 
 
 class FrictionError(InputError):
-    """Refusal that says what friction is: true where nearly nothing is left that no fit explains.
+    """Refusal that describes the friction: true where nearly nothing is left that no fit explains.
 
     Attributes:
         left: residual of the fit behind it [N]; inf: that without dry friction is.

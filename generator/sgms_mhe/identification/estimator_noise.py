@@ -1,4 +1,4 @@
-"""Noise of an estimator by what its model leaves of the logs: how large that is, and how far it goes on alike."""
+"""Noise of an estimator by its model's residual on the logs: its size and correlation time."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -22,7 +22,7 @@ LEAST_NOISE: Final = 1e-4
 def measure_noise(machine: Machine, logs: Sequence[Log]) -> float:
     """Return the RMS [N] of measured minus simulated friction over all valid samples of all logs.
 
-    Noise, and what the model gets wrong: with it an innovation is about as large as the estimator expects.
+    Noise, and the model's error: with it an innovation is about as large as the estimator expects.
     """
     model = CompiledModel(step_every_sample(machine))
     total, count = 0.0, 0

@@ -1,4 +1,4 @@
-"""From the elements that were chosen to the numbers that are reported: only what the records show stays in."""
+"""From the elements that were chosen to the numbers that are reported: only numbers the records show stay in."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -91,7 +91,7 @@ class FinalIdentification:
     """Reported fit.
 
     Attributes:
-        fit: at the full rate, of all used rows, with what the records show alone.
+        fit: at the full rate, of all used rows, with the numbers the records show alone.
         cov: covariance of its numbers (p, p).
         numbers: of the law, with deviations; those of numbers fixed at a default are not among them.
         mass: that the motion shows [kg]; None: it shows none.
@@ -137,7 +137,7 @@ def make_final_fit(
     wanted: Known,
     report: Progress,
 ) -> FinalIdentification:
-    """Choose what stands beside the elements and fit all of it at the full rate.
+    """Choose the terms beside the elements and fit all of it at the full rate.
 
     Args:
         views: the records.
@@ -146,7 +146,7 @@ def make_final_fit(
         companions: effects that may stand beside the elements, but for those of their level.
         curves: curves over speed of any shape, few numbers first.
         excited: names of the effects that the motion excites, those of the level too.
-        wanted: what was given.
+        wanted: by the caller.
         report: called with each step.
     """
     report("what stands beside the elements")
@@ -176,13 +176,13 @@ def state_numbers(
     law_decided: bool = True,
     is_plain: bool = False,
 ) -> FinalIdentification:
-    """Return a fit without what its records do not show, and its numbers.
+    """Return a fit without the terms its records do not show, and its numbers.
 
     Args:
         view: the records at the full rate.
         fit: of them.
         rivals: of its effects, by their names.
-        wanted: what was given.
+        wanted: by the caller.
         law_decided: whether the records tell the law of the elements.
         is_plain: whether nothing was chosen in the fit: then it is left as it is, but for a mass that was given.
     """
@@ -230,7 +230,7 @@ def state_numbers(
 
 
 def _mesh_covariance(view: RecordView, fit: AxisFit) -> Array:
-    """Return the square of what a level that grows at all places at once, as a gear of several meshes has it, makes."""
+    """Return the squared effect of a level that grows at all places at once, as of a gear of several meshes."""
     meshes = fit
     for _ in range(RENEWALS if any(map(is_level, fit.terms)) else 0):
         meshes = fit_axis(view, spread_level_terms(view.rows, meshes, fit.terms), fit.shape, iterations=0)
@@ -238,16 +238,16 @@ def _mesh_covariance(view: RecordView, fit: AxisFit) -> Array:
 
 
 def _law_covariance(view: RecordView, fit: AxisFit) -> Array:
-    """Return the square of what the other law makes of the numbers, where the records do not tell the laws apart."""
+    """Return the squared shift of the numbers by the other law, where the records do not distinguish the laws."""
     law: Law = "sgms" if fit.shape.law == "switching" else "switching"
     other = fit_axis(view, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS)
     return _square_change(view, fit, other)
 
 
 def _square_change(view: RecordView, fit: AxisFit, rival: AxisFit) -> Array:
-    """Return the square of what a rival form of the same friction makes of the numbers (p, p); 0: it is worse unseen.
+    """Return the squared shift of the numbers (p, p) by a rival form of the friction; 0: it is worse unseen.
 
-    What a form that leaves clearly less still leaves beyond noise may move numbers as far as what it explains: per
+    The residual beyond noise of a clearly better form may move numbers as far as its explained part: per
     force alike.
     """
     change = np.zeros_like(own := coordinates(fit, fit.terms))
@@ -259,9 +259,9 @@ def _square_change(view: RecordView, fit: AxisFit, rival: AxisFit) -> Array:
 
 
 def _fit_finely(views: Views, fit: AxisFit, law: Law) -> tuple[Views, AxisFit]:
-    """The fit at the full rate under a law, what a level grows with taken from it until that does not change.
+    """The fit at the full rate under a law, the load of the level taken from it until that does not change.
 
-    And the views that it is of: elements carry what a load adds to their level.
+    And the views that it is of: elements carry the level added by a load.
     """
     fit = fit_axis(views.fine, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS)
     renewed = any(is_level(term) or term.name == LEVEL_OF_RECORD for term in fit.terms)
@@ -275,7 +275,7 @@ def _fit_finely(views: Views, fit: AxisFit, law: Law) -> tuple[Views, AxisFit]:
 
 
 def _renew_levels(views: Views, fit: AxisFit) -> tuple[Term, ...]:
-    """The terms of a fit, those of the level along what it transmits, or along its elements."""
+    """The terms of a fit, those of the level along the transmitted torque, or along its elements."""
     return renew_columns(fit.terms, (*fit_level_terms(views.fine.rows, fit), *fit_record_terms(views, fit)))
 
 
@@ -352,12 +352,12 @@ def _search_rise(views: Views, fit: AxisFit) -> AxisFit:
 
 
 def _drop_load_rise(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The terms, those of the level without what they grow by towards low speed."""
+    """The terms, those of the level without their growth towards low speed."""
     return tuple(replace(t, columns=t.columns[:, :1]) if is_level(t) else t for t in terms)
 
 
 def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
-    """The fit with the trial of what its level grows with that explains most, and without a rise that explains none."""
+    """The fit with the best trial of the load its level grows with, and without a rise that explains none."""
     if not any(map(is_level, fit.terms)):
         return fit
     fit = _search_trials(views, fit)
@@ -373,7 +373,7 @@ def _test_curves(views: Views, fit: AxisFit, curves: Sequence[Term]) -> AxisFit:
     """The fit with the curve over speed of the fewest numbers than which none leaves less, where one leaves less.
 
     The elements' own rise is judged anew beside a curve: it hides behind one, or stood for it. Where no more is left
-    than the encoder's steps make, what a curve takes of it is theirs.
+    than the encoder's steps make, the part explained by a curve is theirs.
     """
     if not curves or _leaves_steps_alone(views.fine, fit):
         return fit
@@ -442,7 +442,7 @@ def _fit_without(view: RecordView, fit: AxisFit, names: Collection[str], iterati
 def _widen_beside_mass(free: AxisFit, cov_free: Array, fit: AxisFit, cov: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the covariance with effects as sure as beside a free mass, and the names of those that are less sure so.
 
-    The motion may show their sum alone: at one frequency a spring is what the mass is wrong by.
+    The motion may show their sum alone: at one frequency a spring is the error of the mass.
     """
     wide, names = cov.copy(), []
     for name in (term.name for term in fit.terms if term.name not in LAW_AND_SAMPLING):
@@ -454,11 +454,11 @@ def _widen_beside_mass(free: AxisFit, cov_free: Array, fit: AxisFit, cov: Array)
 
 
 def is_apart(fit: AxisFit, cov: Array, view: RecordView) -> bool | None:
-    """Return True if force and position are apart in time, beyond what sampling makes; None: something looks like it.
+    """Return True if force and position are apart in time, beyond the effect of sampling; None: ambiguous.
 
     It is true of all of the force, so most of it is there away from reversals too: friction that follows the speed
-    gradually looks the same about one. No delay is what a controller that answers to the steps of an encoder may make
-    of the term, nor less than a sample: a drive that holds its force over one has it half a sample late, or early, as
+    gradually looks the same about one. An answer of a controller to the steps of an encoder is no delay,
+    nor is less than a sample: a drive that holds its force over one has it half a sample late, or early, as
     it is logged.
     """
     rows, place = view.rows, fit.place(LATE)
@@ -476,7 +476,7 @@ def is_apart(fit: AxisFit, cov: Array, view: RecordView) -> bool | None:
 
 
 def late_force(fit: AxisFit, view: RecordView) -> float:
-    """Return the RMS [N] of what force and position that are apart in time make in a fit."""
+    """Return the RMS [N] of the error in a fit by a shift in time between force and position."""
     place, used = fit.place(LATE), view.rows.used
     return float(np.std(fit.jacobian[used, place.start]) * np.abs(fit.coefficient(LATE)[0]))
 

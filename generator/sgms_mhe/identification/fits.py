@@ -2,12 +2,12 @@
 
     y = sum_k L_k chi(D_k, beta, v_s) + sum_j b_j C_j,    L_k >= 0
 
-An acceleration holds what the encoder adds to it, of variance s^2, and y the machine's mass m times that. Plain least
-squares would make the mass too small; what noise alone has is taken off their sum over n rows (errors in variables),
+An acceleration has the encoder's noise, of variance s^2, and y the machine's mass m times that. Plain least
+squares would make the mass too small; the part of noise alone is taken off their sum over n rows (errors in variables),
 
     J = sum r^2 - n s^2 (m + b)^2
 
-Gauss-Newton with damping in log D_k, beta and log v_s, on what the linear columns cannot make up for (variable
+Gauss-Newton with damping in log D_k, beta and log v_s, on the part unexplained by the linear columns (variable
 projection). Derivatives are those of the emitted C.
 """
 
@@ -95,7 +95,7 @@ class AxisFit(FitLoss):
     Attributes:
         shape: law, distances and rise found.
         levels: of the elements (k) [N].
-        terms: what else is linear.
+        terms: other linear ones.
         coefficients: of all columns of the terms (c).
         jacobian: derivatives (m, p) in log D (k), levels (k), beta and log v_s where there is a rise, coefficients (c).
         prior: information of priors (p), in units of the sum of squares.
@@ -248,7 +248,7 @@ def _own_information(gram: Array, noise: Array) -> Array:
 
 
 def noise_share(view: RecordView, fit: AxisFit) -> float:
-    """Return the noise of an encoder in the mass's column over what no other column explains of it, squared sums."""
+    """Return the encoder's noise in the mass's column over its part unexplained by other columns, squared sums."""
     noise = np.concatenate([np.full(term.columns.shape[1], term.noise) for term in fit.terms])
     if not noise.any():
         return 0.0
@@ -261,7 +261,7 @@ def noise_share(view: RecordView, fit: AxisFit) -> float:
 def largest_noise_bias(view: RecordView, fit: AxisFit, name: str) -> float:
     """Return the largest size of a term of one column that the encoder's noise in the measured friction can make.
 
-    By Cauchy and Schwarz: that noise over what no other column explains of the term's, root mean squares.
+    By Cauchy and Schwarz: that noise over the part of the term's no other column explains, root mean squares.
     """
     used, place = view.rows.used, fit.place(name)
     moved = view.rows.machine.plant.moved + float(fit.coefficient("mass").sum())
@@ -279,8 +279,8 @@ def fit_axis(
 
     Args:
         view: records at some rate.
-        terms: what is linear beside the elements.
-        start: law, distances, rise; what it has not is not looked for.
+        terms: linear ones beside the elements.
+        start: law, distances, rise; missing ones are not looked for.
         seen: rows that the fit sees (m); None: all used ones.
         iterations: at most.
     """
@@ -323,7 +323,7 @@ def _finish(problem: _AxisProblem, point: _AxisPoint) -> AxisFit:
 
 
 def _within(shape: Shape, view: RecordView) -> Shape:
-    """The shape within what the records can tell, distances in order."""
+    """The shape within the records' resolution, distances in order."""
     rise = shape.rise
     if rise is not None:
         slow, fast = stribeck_limits(view)
@@ -349,10 +349,10 @@ def stribeck_limits(view: RecordView) -> tuple[float, float]:
 def covariance(view: RecordView, fit: AxisFit) -> Array:
     """Covariance (p, p) of log D (k), levels (k), beta and log v_s where there is a rise, and the coefficients.
 
-    Noise and what the model gets wrong (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR of that,
-    which it may hide. And what the encoder's steps and the samples' distance make of the numbers: the elements' way
+    Noise and the model's error (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR of that,
+    which it may hide. And the effect of the encoder's steps and the samples' distance on the numbers: the elements' way
     between them comes out too smooth at every reversal alike, which no average over blocks sees; other lines, and every
-    second sample, do as much once more. And what an error of timing makes of them that is larger than sampling has any:
+    second sample, do as much once more. And the effect of a timing error larger than that of sampling:
     it stands for something else. 0 where a level or a coefficient is fixed at 0.
     """
     rows = view.rows
@@ -389,13 +389,13 @@ def coordinates(fit: AxisFit, terms: Sequence[Term]) -> Array:
 
 
 def measure_wrong(view: RecordView, fit: AxisFit) -> float:
-    """Return the RMS of what a fit gets wrong [N]: beyond the noise floor, or a share of that, which may hide it."""
+    """Return the RMS of a fit's error [N]: beyond the noise floor, or a share of that, which may hide it."""
     floor = noise_floor(view.rows, fit.residual)
     return max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
 
 
 def _measure_excess(rows: Recording, fit: AxisFit) -> float:
-    """Return what a fit's second difference of the force has beyond what a sample and a delay make of it [s^2]."""
+    """Return the excess of a fit's second difference of the force over that of a sample and a delay [s^2]."""
     late, held = (float(np.abs(fit.coefficient(name)).sum()) for name in (LATE, HELD))
     return max(0.0, held - 0.5 * (TIMING * rows.machine.sampling.step + late) ** 2)
 
@@ -439,8 +439,8 @@ class NumberEstimate:
 def quantities(fit: AxisFit, cov: Array) -> dict[str, NumberEstimate]:
     """The friction law's numbers with their deviations, named as in a machine file.
 
-    `coulomb`, `viscous`, `stribeck_ratio`, `stribeck_velocity`, `stiffness_k`, `fraction_k`; what the fit does not have
-    is left out. Where all levels are 0 shares have no meaning and are NaN.
+    `coulomb`, `viscous`, `stribeck_ratio`, `stribeck_velocity`, `stiffness_k`, `fraction_k`; missing ones
+    are left out. Where all levels are 0 shares have no meaning and are NaN.
     """
     count, level = len(fit.levels), fit.coulomb
     p = len(cov)

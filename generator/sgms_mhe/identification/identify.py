@@ -69,7 +69,7 @@ class Wanted:
     Attributes:
         name: of the machine.
         mass: moved mass [kg], or inertia [kg m^2]; None: that of the motion.
-        elements: their number; None: what the records show.
+        elements: their number; None: as the records show.
         like: a machine whose sampling, estimator, code and `[log]` are taken over; None: none.
         objective: norm of the last fit of mass, level, damping and sizes of effects.
         per_decade: distances of the convex start's grid; the result does not depend on it.
@@ -96,8 +96,8 @@ class Explored:
         views: their rows.
         found: law and elements.
         final: the numbers.
-        measured: what the motion holds, by measure.
-        plain_rms: what a file of least squares leaves on data that no fit has seen [N]; NaN: nobody asked.
+        measured: excitation of the motion, by measure.
+        plain_rms: residual of a file of least squares on data unseen by any fit [N]; NaN: not computed.
         is_plain: whether this is that of least squares.
         said: statements on the two.
         unseen: numbers of the law that the records do not show, whatever their deviation.
@@ -170,7 +170,7 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
 
 
 def _choose(begun: Begun, explored: Explored, known: Known) -> Explored:
-    """Return what was explored, or that of least squares where it leaves less.
+    """Return the result of the search, or that of least squares where its residual is smaller.
 
     Errors of timing within a sample are of the log, not of the axis: numbers beside them are truer, whatever a file
     without them leaves. Where beside them no less is left than least squares leaves without, they are none.
@@ -201,7 +201,7 @@ def _choose(begun: Begun, explored: Explored, known: Known) -> Explored:
 
 
 def _explain(refusal: FrictionError, begun: Begun, known: Known) -> Explored:
-    """Return what least squares says where more is left than a refusal may speak of; else raise it.
+    """Return the result of least squares where the residual is too large for the refusal; else raise it.
 
     Raises:
         InputError: nearly nothing is left, or least squares has no friction either.
@@ -221,7 +221,7 @@ def _explain(refusal: FrictionError, begun: Begun, known: Known) -> Explored:
 
 
 def state_plain(begun: Begun, fit: AxisFit, rivals: Mapping[str, tuple[str, ...]], known: Known) -> Explored:
-    """Return what least squares says."""
+    """Return the result of least squares."""
     final = state_numbers(begun.views.fine, fit, rivals, known, is_plain=True)
     found = ChosenModel(final.fit, final.fit, decided=False, counts={len(fit.levels): fit.cross_rms})
     return Explored(begun.records, begun.views, found, final, measure_motion(begun.records, found), is_plain=True)
@@ -246,7 +246,7 @@ def explore_recording(recording: Recording, report: Progress = _silent) -> Explo
 
 
 def _explore_records(begun: Begun, elements: int | None, known: Known, report: Progress) -> Explored:
-    """Find law, elements and numbers of an axis along its records; `known`: what stays unless they contradict."""
+    """Find law, elements and numbers of an axis along its records; `known`: numbers kept unless contradicted."""
     records, views, spectrum, base = begun.records, begun.views, begun.spectrum, begun.base
     if not len(spectrum.distances):
         raise frictionless_error(name_all(records.names))

@@ -21,14 +21,14 @@ from sgms_mhe.support.arrays import Array
 
 
 def fit_record_terms(views: Views, fit: AxisFit) -> tuple[Term, ...]:
-    """Return what may belong to a record, the level along a fit's elements: of the same stiffness, to first order."""
+    """Return the terms a record may own, the level along a fit's elements: of the same stiffness, to first order."""
     lengths, count = [motion.rows for motion in views.coarse.motions], len(fit.levels)
     force = fit.elements @ fit.levels + fit.jacobian[:, :count].sum(axis=1)
     return record_terms(views.fine.rows, lengths, force / max(fit.coulomb, NOTHING))
 
 
 def add_spread(view: RecordView, fit: AxisFit, numbers: dict[str, NumberEstimate]) -> dict[str, NumberEstimate]:
-    """Return the numbers, what belongs to a record with the spread of those of the records about them."""
+    """Return the numbers, a record's own with the spread over the records."""
     own = {
         "coulomb": find_record_levels(view, fit),
         "viscous": record_sizes(fit.coefficient(DAMPING_OF_RECORD)),
@@ -49,7 +49,7 @@ def find_record_levels(view: RecordView, fit: AxisFit) -> Array:
 
 
 def list_record_numbers(names: Sequence[str], view: RecordView, fit: AxisFit, units: Units) -> tuple[str, ...]:
-    """Return the sentences on what each record has of its own; the file has the means."""
+    """Return the sentences on each record's own numbers; the file has the means."""
     kinds = (OFFSET_OF_RECORD, DAMPING_OF_RECORD, MASS_OF_RECORD)
     offsets, damping, mass = (record_sizes(fit.coefficient(name)) for name in kinds)
     mean = "; the file has the mean over records"

@@ -62,7 +62,7 @@ class ElementMotion:
             else those behind the filters.
         runs: the newest ones of elements along it.
         scale: level of its record over the mean of all [1]; stiffnesses are the same.
-        load: what a load adds to the level at each instant, over the level without it (n) [1]; None: nothing.
+        load: added to the level at each instant, over the level without it (n) [1]; None: nothing.
     """
 
     machine: Machine
@@ -84,7 +84,7 @@ class ElementMotion:
         return replace(self, load=course, runs=Runs(RUNS_CACHED))
 
     def pick_samples(self, series: Array) -> Array:
-        """Return what a series (n) is at the samples (n // steps)."""
+        """Return a series (n) at the samples (n // steps)."""
         return series[self.steps - 1 :: self.steps]
 
     def to_rows(self, series: Array) -> Array:
@@ -101,7 +101,7 @@ class Records:
     Attributes:
         machine: with the rates of the records; of its friction nothing counts.
         names: of the logs.
-        rows: all rows one log behind the other; blocks, folds and what is held out as a diagnosis has them.
+        rows: all rows one log behind the other; blocks, folds and held-out rows as in a diagnosis.
         whole: the same with those at which the axis stands, as predict has them; None: `rows` are all.
         coarse: motion behind the filters at the rate of the rows, a log each.
         fine: the encoder's motion at the logs' rate, a log each.
@@ -110,7 +110,7 @@ class Records:
             steps, their lines elsewhere, reads that, a log each; none where no steps show.
         thinned: `fine` through every second sample, the even ones and the odd ones, a log each.
         resolution: of the position [m], noise of a measurement included.
-        warnings: what a user should know of the logs.
+        warnings: to the user about the logs.
     """
 
     machine: Machine
@@ -144,7 +144,7 @@ def scale_levels(records: Records, factors: Sequence[float]) -> Records:
 
 
 def sort_logs(logs: Sequence[Log]) -> list[Log]:
-    """Logs in the order of a digest of what they hold: in which order they were given says nothing."""
+    """Logs in the order of a digest of their content, independent of the given order."""
 
     def key(log: Log) -> str:
         digest = hashlib.sha256(np.ascontiguousarray(log.position_m).tobytes())

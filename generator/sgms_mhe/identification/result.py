@@ -82,16 +82,16 @@ class Identification(Shown):
         machine: as it is written.
         toml: its file.
         numbers: with intervals.
-        others: statements on law, elements, timing, what is left and the file as a whole.
+        others: statements on law, elements, timing, residual and the file as a whole.
         sources: the logs, in the order of their content.
         law: of its elements.
         law_decided: whether the records tell the laws apart.
-        warnings: what a user should know about the logs.
+        warnings: to the user about the logs.
         rms_N: residual of all rows.
         held_out_rms_N: on a third of the blocks that the fit had not seen.
         stated_rms_N: the same without errors of timing, which a machine file does not state.
         plain_rms_N: the same of least squares of mass, Coulomb and viscous friction and forces over the place.
-        is_plain: whether that left less, and is what the machine has.
+        is_plain: whether its residual was smaller, and the machine has it.
         noise_floor_N: of a row.
         friction_rms_N: of the measured friction.
         by_count: cross-validated residual by number of elements tried [N].
@@ -123,7 +123,7 @@ class Identification(Shown):
 
     @property
     def limits(self) -> tuple[str, ...]:
-        """Sentences on what the records do not determine, with the move that would."""
+        """Sentences on undetermined numbers, with the move needed for each."""
         return tuple(statement.advice for statement in list_open(self.statements))
 
     def number(self, name: str) -> Number:

@@ -105,7 +105,7 @@ def round_up(value: float) -> float:
 
 
 def _placeholder(logs: Sequence[Log]) -> Mapping[str, Any]:
-    """Friction of about the right size, for what asks for scales before any is known."""
+    """Friction of about the right size, for scales before any is known."""
     level = max(float(np.nanstd(log.force_N)) for log in logs) or 1.0
     travel = max(float(np.nanmax(log.position_m) - np.nanmin(log.position_m)) for log in logs) or 1.0
     return {"law": "switching", "stiffness": [100.0 * level / travel], "fraction": [1.0], "coulomb": level}
@@ -125,9 +125,9 @@ def _fastest(log: Log, rate: float) -> float:
 def replace_filter(machine: Machine, logs: Sequence[Log]) -> tuple[Machine, tuple[str, ...]]:
     """Return the machine with a slower low-pass where its own biases the mass, and the sentence on that.
 
-    What an encoder, or readings off their stamps, add to an acceleration makes the mass that is found too small, by
+    Noise of an encoder or of time stamps in the acceleration makes the identified mass too small, by
     its share of the power at least: the filter is made slower until that is small, and the next one does not make the
-    mass larger. Not where an axis goes one way: there the mass takes what friction is.
+    mass larger. Not where an axis goes one way: there the mass takes up friction.
 
     Args:
         machine: with the low-pass that was asked for, and the mass behind it.
@@ -213,7 +213,7 @@ def rough_mass(machine: Machine, logs: Sequence[Log], *, is_needed: bool = True)
 
 
 def name_all(sources: Sequence[str]) -> str:
-    """Name of what is said of several logs: the first, and how many more."""
+    """Name in sentences on several logs: the first, and how many more."""
     more = f" and {len(sources) - 1} more" if len(sources) > 1 else ""
     return f"{sources[0] or 'log'}{more}"
 

@@ -1,6 +1,6 @@
 """Choice of law, number of elements and effects by the gain on held-out samples.
 
-Choices are made at the rate of the rows. What the longer steps change there is taken out by lining the measured
+Choices are made at the rate of the rows. The error of the longer steps there is taken out by lining the measured
 friction up with the fine model at a fit: the residual is then the fine one's, but for the change away from that fit.
 """
 
@@ -264,7 +264,7 @@ def element_numbers(recording: Recording, noise: float) -> dict[str, float]:
     A spectrum of break-away distances by nonnegative least squares, as many clusters of it as the recording's machine
     has elements, and their nonlinear fit, as elements that switch whatever the machine's law: the laws differ by less
     than a start is off. Of the machine's numbers only the order counts in which its elements break away: the one that
-    does first is still called what the machine calls it.
+    does first keeps its name in the machine.
 
     Args:
         recording: rows of a log, behind the chain.

@@ -122,7 +122,7 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
 def cluster(spectrum: Spectrum, count: int) -> tuple[Array, Array]:
     """Distances (k) and levels (k) of at most `count` clusters: neighbours that are nearest merge first.
 
-    What is nearest is Ward's: the growth of the sum of squares of log D about the clusters' means, weighted by levels.
+    Distance is Ward's: the growth of the sum of squares of log D about the clusters' means, weighted by levels.
     """
     logs, levels = list(np.log(spectrum.distances)), list(spectrum.levels)
     while len(logs) > count:

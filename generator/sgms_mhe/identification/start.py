@@ -1,4 +1,4 @@
-"""The convex start of an identification: records with their levels, and what stands beside the elements."""
+"""The convex start of an identification: records with their levels, and the terms beside the elements."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ def _start(records: Records, per_decade: float) -> tuple[Records, Spectrum, tupl
 def _separate_records(
     records: Records, base: Sequence[Term], beside: Sequence[Term], spectrum: Spectrum, noise: float, grid: Array
 ) -> tuple[Records, tuple[Term, ...], Spectrum]:
-    """Return records, terms and convex start with what belongs to a record, where that leaves clearly less.
+    """Return records, terms and convex start with a record's own terms, where their residual is clearly smaller.
 
     Args:
         records: all logs.
@@ -105,7 +105,7 @@ def _separate_records(
 
 
 def _record_terms(records: Records, spectrum: Spectrum) -> tuple[Term, ...]:
-    """Return what belongs to a record and not to the axis, the level along the convex start's elements."""
+    """Return the terms of a record and not of the axis, the level along the convex start's elements."""
     if len(records.names) < 2 or not len(spectrum.distances):
         return ()
     runs = run_elements(records.coarse, "switching", spectrum.distances, spectrum.rise or NO_RISE)

@@ -52,7 +52,7 @@ class Survey:
         logs: in the order of their content.
         numbers: of the axis, with intervals, but those of elements, which depend on a law that nothing here decides;
             a mass that the motion does not show is NaN.
-        others: statements on sign, noise, what is left and what is open.
+        others: statements on sign, noise, residual and open questions.
     """
 
     explored: Explored
@@ -82,7 +82,7 @@ class Survey:
 
 @one_library_thread()
 def survey(logs: Sequence[Log], wanted: Wanted, report: Progress) -> Survey:
-    """Fit the convex start's elements by least squares, and state what that tells of an axis.
+    """Fit the convex start's elements by least squares, and state the numbers of the axis.
 
     Raises:
         InputError: logs that cannot tell: of the other sign, without motion, below break-away, of no such axis, ...

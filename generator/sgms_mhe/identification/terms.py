@@ -93,7 +93,7 @@ def sampling_terms(rows: Recording) -> tuple[Term, ...]:
 
 
 def record_terms(rows: Recording, lengths: Sequence[int], sliding: Array) -> tuple[Term, ...]:
-    """Return the terms of what belongs to a record and not to the axis; none of one record alone.
+    """Return the terms of a record and not of the axis; none of one record alone.
 
     Each is the difference to the mean over records, that of the last one minus the sum of the others'.
 
@@ -113,7 +113,7 @@ def record_terms(rows: Recording, lengths: Sequence[int], sliding: Array) -> tup
 
 
 def record_sizes(coefficients: Array) -> Array:
-    """Return what each record (k) has beyond the mean, by the coefficients (k - 1) of its term; none of no term."""
+    """Return each record's (k) difference from the mean, by the coefficients (k - 1) of its term; none of no term."""
     if not len(coefficients):
         return coefficients
     return np.append(coefficients, -float(np.sum(coefficients)))
@@ -130,7 +130,7 @@ def place_curve(rows: Recording) -> Term:
 
 @dataclass(frozen=True, eq=False)
 class KnownFriction:
-    """Friction of a fit, and what it carries.
+    """Friction of a fit, and its load.
 
     Attributes:
         friction: all of it (m) [N].
@@ -161,7 +161,7 @@ def companion_terms(rows: Recording) -> tuple[Term, ...]:
 def level_terms(
     rows: Recording, transmitted: Array, sliding: Array, rise: Stribeck | None, known: KnownFriction | None = None
 ) -> tuple[Term, ...]:
-    """Effects that are looked for in the level of friction: what it grows with is known once load and mass are.
+    """Effects that are looked for in the level of friction: their load is known once gravity and mass are.
 
     One that is linear in its size changes the force that the elements have, which a fit of them tells.
 
@@ -170,7 +170,7 @@ def level_terms(
         transmitted: torque that the drive transmits (m) [N m].
         sliding: force of the elements over the level that they slip at now, -1 to 1 (m).
         rise: of the level towards low speed, in which they share; None: none.
-        known: of a fit, for effects that are linear, and for trials of what an effect's columns are not linear in;
+        known: of a fit, for effects that are linear, and for trials of an effect's nonlinear parameters;
             None: of the others the first trial alone.
     """
     motion, terms = _motion(rows, transmitted, sliding), []
@@ -220,7 +220,7 @@ def effect_parameters(term: Term, sizes: Array) -> dict[str, float]:
 
 
 def is_within_limits(term: Term, sizes: Array) -> bool:
-    """Return True if a machine file may state what an effect's coefficients (k) are."""
+    """Return True if a machine file may state an effect's coefficients (k)."""
     found = effect_parameters(term, sizes)
     limits = {name: effect_definition(term.name).parameter(name) for name in found}
     return all(limits[name].lower <= value <= limits[name].upper for name, value in found.items())
@@ -232,7 +232,7 @@ def is_level(term: Term) -> bool:
 
 
 def is_friction(term: Term) -> bool:
-    """Return True if a term is friction that teeth transmit: damping, a curve over speed, what adds to the level."""
+    """Return True if a term is friction that teeth transmit: damping, a curve over speed, additions to the level."""
     if term.name in LAW_AND_SAMPLING:
         return term.name == "viscous"
     return is_level(term) or effect_definition(term.name).any_curve

@@ -28,10 +28,10 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], noise: M
     """Content of the machine file.
 
     Args:
-        base: name, rates and what was taken over from another file.
+        base: name, rates and keys taken over from another file.
         law: of the elements.
         numbers: as described.
-        noise: what is known of [estimator.noise].
+        noise: known keys of [estimator.noise].
     """
     by_name = {number.name: number for number in numbers}
     units = base.plant.units

@@ -9,12 +9,12 @@ Each step is a pure function whose result is a frozen dataclass, which `sgms-mhe
     table + [log] -> which column is which quantity, in what unit     sources, names
     values -> SI units, on one clock                                  quantities, clocks
     time -> rate, jitter, gaps; uneven time onto a grid               timing, resampling
-    log + machine -> what this axis cannot have left                  plausibility
+    log + machine -> values implausible of this axis                  plausibility
 
 `following` takes a text through the same steps while it grows.
 
 No library reads text as this room has to: pandas and polars take a dialect that somebody states, and neither of them
 tells a unit row from data, a decimal comma from a separator, or a summary from a sample; guessing an encoding is not
-needed where files are UTF-8, UTF-16 or Latin-1. What is left for a library is the fast loop over numbers, numpy's
+needed where files are UTF-8, UTF-16 or Latin-1. Left for a library is the fast loop over numbers, numpy's
 loadtxt. Formats with containers of their own are read by the libraries that define them (h5py, pyarrow, asammdf).
 """

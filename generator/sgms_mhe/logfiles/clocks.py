@@ -24,7 +24,7 @@ _PARTS_IN_A_SECOND: Final = {"n": 1e9, "m": 1e6, "u": 1e6}
 def join_seconds(table: Table) -> Table:
     """The table with a column of time stamps for each two of whole seconds and of the parts beyond them.
 
-    Such as `stamp.sec` and `stamp.nanosec`, as ROS writes them; other columns of these names are what they are.
+    Such as `stamp.sec` and `stamp.nanosec`, as ROS writes them; other columns of these names are ordinary ones.
     """
     found: dict[str, dict[str, Column]] = {}
     for column in table.columns:

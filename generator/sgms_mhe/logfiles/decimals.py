@@ -1,4 +1,4 @@
-"""Numbers in a text: what is one, what its decimal mark is, and its value."""
+"""Numbers in a text: their form, decimal mark and value."""
 
 import re
 from typing import Final, Literal
@@ -32,7 +32,7 @@ def is_missing(token: str) -> bool:
 
 
 def _plain(token: str) -> str:
-    """A field without what no decimal mark can be: groups of thousands by spaces or apostrophes, a typeset minus."""
+    """A field without marks but the decimal one: groups of thousands by spaces or apostrophes, a typeset minus."""
     if token.isascii() and " " not in token and "'" not in token:
         return token
     token = token.replace(_MINUS, "-")

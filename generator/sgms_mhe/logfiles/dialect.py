@@ -49,7 +49,7 @@ class Dialect:
         before: lines before the header; `after`: lines after the last sample; `comments`: lines between samples that
             are none.
         first: samples before these rows, where they are a piece of a text.
-        run: what the file states of its run.
+        run: stated by the file.
     """
 
     separator: str
@@ -116,9 +116,9 @@ def lines_of(text: str) -> list[str]:
 
 
 def find_dialect(path: Path, text: str, hints: LogMapping | None, least: int = 2) -> Dialect:
-    """Understand a text whose rows have `least` values or more; `hints` are what [log] states of it.
+    """Understand a text whose rows have `least` values or more; `hints` are keys of [log].
 
-    Raises InputError, with what to write where.
+    Raises InputError, with the key to write.
     """
     lines = lines_of(text)
     if not any(line.strip() for line in lines):

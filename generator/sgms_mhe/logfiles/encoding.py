@@ -23,7 +23,7 @@ def decode(path: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
     """(text, encoding) of a file's content; `encoding` is the one that [log] states.
 
     Latin-1 gives every byte a meaning, so it is taken only where UTF-8 fails and nothing but text comes of it; its µ, °
-    and ² are those of Windows-1252 too. Raises InputError for what is no text.
+    and ² are those of Windows-1252 too. Raises InputError for other content.
     """
     chosen = encoding or guess(content)
     try:
@@ -40,7 +40,7 @@ def decode(path: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
 
 
 def check_text(path: Path, text: str, before: int = 0) -> None:
-    """Refuse what no text has; `before`: lines above this one."""
+    """Refuse characters of no text; `before`: lines above this one."""
     if found := _NO_TEXT.search(text):
         line = before + text.count("\n", 0, found.start()) + 1
         allowed = (
@@ -73,7 +73,7 @@ class Decoder:
 
     Args:
         path: for messages.
-        encoding: that [log] states; None: what the first bytes tell, Latin-1 where UTF-8 fails.
+        encoding: that [log] states; None: by the first bytes, Latin-1 where UTF-8 fails.
     """
 
     def __init__(self, path: Path, encoding: str | None) -> None:

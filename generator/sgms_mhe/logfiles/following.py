@@ -1,6 +1,6 @@
 """A log in a text that grows: the samples of the whole file, from pieces of any size, as soon as they are there.
 
-What the first rows tell holds for the rest: encoding, dialect, columns, units, the step between samples. Where that is
+Findings on the first rows hold for the rest: encoding, dialect, columns, units, the step between samples. Where that is
 told follows from the bytes alone, never from how they came.
 """
 
@@ -56,13 +56,13 @@ class FollowedText:
     """A log that comes in pieces.
 
     Args:
-        path: of the text, or what messages call it.
+        path: of the text, or its name in messages.
         machine: whose axis left it; its [log] counts.
     """
 
     def __init__(self, path: Path, machine: Machine) -> None:
         self._path, self._machine = path, machine
-        self._lines = _Lines(path, machine.log)
+        self._lines = _LineSplitter(path, machine.log)
         self._head: list[str] = []
         self._looked = FIRST_LINES
         self._rows: _Rows | None = None
@@ -74,7 +74,7 @@ class FollowedText:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Sentences on what was left out, once the text has ended."""
+        """Sentences on omitted data, once the text has ended."""
         found = note_left_out([] if self._rows is None else self._rows.left_out)
         if rest := self._lines.rest.strip():
             found.append(f"the last line has no end and is left out: {rest[:80]}")
@@ -124,7 +124,7 @@ class FollowedText:
         return None
 
 
-class _Lines:
+class _LineSplitter:
     """Bytes into the lines that have their end."""
 
     def __init__(self, path: Path, hints: LogMapping | None) -> None:

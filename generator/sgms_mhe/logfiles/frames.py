@@ -32,7 +32,7 @@ def read_frame(frame: Frame | Mapping[str, Any]) -> Table:
     An index of times, or one that has a name, is a column of that name (`time_s` where it has none).
 
     Raises:
-        InputError: what is no DataFrame, has two columns of a name, or arrays of unequal length.
+        InputError: the argument is no DataFrame, has two columns of a name, or arrays of unequal length.
     """
     try:
         names = list(frame if isinstance(frame, Mapping) else frame.columns)
@@ -54,7 +54,7 @@ def read_frame(frame: Frame | Mapping[str, Any]) -> Table:
 
 
 def _index(frame: Frame | Mapping[str, Any], names: Sequence[Any]) -> dict[str, AnyArray]:
-    """The index of a DataFrame as a column, where it says what it is."""
+    """The index of a DataFrame as a column, where it has a meaning."""
     index = getattr(frame, "index", None)
     if index is None or callable(index):
         return {}

@@ -18,11 +18,11 @@ from sgms_mhe.support.errors import InputError
 
 @dataclass(frozen=True)
 class Inspection:
-    """A reading with what is to be said of it.
+    """A parsed log with remarks on it.
 
     Attributes:
         problems: why the commands refuse it, in their words; empty where they take it.
-        notes: what they would not refuse.
+        notes: on irregular, accepted data.
     """
 
     reading: LogContent

@@ -24,7 +24,7 @@ _ALLOWED: Final = "lines or a list of objects, one a sample, or an object with a
 def find_samples(path: Path, text: str) -> Dialect:
     """Lay out samples as rows whose values tabs separate; members of objects and lists have a path, `a.b[0]`.
 
-    Raises InputError for what is no JSON, and for JSON without samples.
+    Raises InputError for other text, and for JSON without samples.
     """
     try:
         samples, run = _samples(path, text)
@@ -40,7 +40,7 @@ def find_samples(path: Path, text: str) -> Dialect:
 
 
 def _samples(path: Path, text: str) -> tuple[list[tuple[int, Any]], Mapping[str, float]]:
-    """(line, sample), the line 0 where samples are no lines; and what a run states of itself."""
+    """(line, sample), the line 0 where samples are no lines; and the keys stated by a run."""
     try:
         whole = json.loads(text)
     except json.JSONDecodeError as error:

@@ -1,4 +1,4 @@
-"""Real numeric variables of a MAT file, version 5 (what MATLAB saves with -v6 and -v7), members of structs among them.
+"""Real numeric variables of a MAT file, version 5 (MATLAB's -v6 and -v7), members of structs among them.
 
 scipy.io.loadmat is not used: it looks a data-type code up without checking it (scipy 1.17), so that one wrong byte in a
 damaged file ends the process where a user needs a message. Numeric arrays and structs are all that a log holds.

@@ -1,6 +1,6 @@
 """Real numeric variables of a MAT file, version 7.3, which is HDF5, members of structs and struct arrays among them.
 
-A struct is a group. The fields of a struct array are arrays of references, of one shape, to what its elements hold.
+A struct is a group. The fields of a struct array are arrays of references, of one shape, to its elements' values.
 """
 
 from collections.abc import Mapping

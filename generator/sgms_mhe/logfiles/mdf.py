@@ -83,7 +83,7 @@ def _is_astray(content: Any, group: int, channel: Any) -> bool:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Silence what asammdf logs about a damaged file, and its complaints about one left half open."""
+    """Silence asammdf's log messages about a damaged file, and its complaints about one left half open."""
     logger = logging.getLogger("asammdf")
     before, hook = logger.disabled, sys.unraisablehook
     logger.disabled, sys.unraisablehook = True, lambda _: None

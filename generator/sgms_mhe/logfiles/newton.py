@@ -3,13 +3,13 @@
     force = c a + F_c sign(v) + F_v v + k x + o
 
 Where an axis has just turned round its friction still has the old direction, which looks like a force against the
-acceleration. So only what lies a distance behind the last reversal counts for the inertia.
+acceleration. So only samples a distance behind the last reversal count for the inertia.
 
 For the sign both are tried, that which was recorded and the other, with any force g of the place in place of k x + o:
 
     +- force = c a + sum_i F_i z_i(x) + F_v v + g(x),   c >= 0, F_i >= 0
 
-Gravity, springs and contacts are forces of the place, of either sign. A drive that holds against what moves it is a
+Gravity, springs and contacts are forces of the place, of either sign. A drive that holds against a push is a
 spring and a damper: F_v is free, so that it tells no sign. z_i are elements of dry friction, springs that slip.
 """
 

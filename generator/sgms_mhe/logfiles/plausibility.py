@@ -1,7 +1,7 @@
 """Plausibility of a log's columns on the machine that they are read for.
 
 A log with its columns mixed up, of the other sign, or in a unit that nobody stated, still holds numbers: an estimator
-would follow them and say nothing. What no axis can have measured is refused here, with what was seen and what to write.
+would follow them and say nothing. Implausible measurements are refused here, with the values seen and the key to write.
 The limits are far from anything that a real axis, a wrong number of the machine or a coarse encoder would come to.
 """
 
@@ -69,7 +69,7 @@ def check_plausible(log: Log, machine: Machine | None, *, has_mass: bool = True)
     log = readings(log)
     _check_constant(log)
     _check_copies(log)
-    motion = _Motion(log, samples)
+    motion = _IntervalMeans(log, samples)
     if machine is not None:
         _check_speed(log, machine, motion)
     _check_derivatives(log, samples)
@@ -150,7 +150,7 @@ def _slope(x: Array, y: Array) -> float | None:
     return slope if float(np.max(np.abs(y - slope * x))) <= STRAIGHT * float(np.ptp(y)) else None
 
 
-def _check_speed(log: Log, machine: Machine, motion: "_Motion") -> None:
+def _check_speed(log: Log, machine: Machine, motion: "_IntervalMeans") -> None:
     """Refuse a motion that is too fast for the axis.
 
     Columns that are swapped have friction that drives the motion: where it does not, the unit is wrong.
@@ -182,12 +182,12 @@ def _swap(log: Log) -> str:
     return f'swapped with {force}? Then [log] has {position} = "{force}" and {force} = "{position}"'
 
 
-def _check_swapped(log: Log, machine: Machine, motion: "_Motion") -> None:
+def _check_swapped(log: Log, machine: Machine, motion: "_IntervalMeans") -> None:
     """Refuse columns that say nothing of mass and friction, and are this axis's where each stands for the other."""
     if _inertia(motion, machine) != 0.0 or _braking(log, motion) != 0:
         return
     other = replace(log, position_m=log.force_N, force_N=log.position_m)
-    there = _Motion(other, machine.sampling.samples_per_update)
+    there = _IntervalMeans(other, machine.sampling.samples_per_update)
     inertia, units, moved = _inertia(there, machine), log.units, machine.plant.moved
     if 1.0 / NEAR <= inertia / moved <= NEAR and _braking(other, there) > 0:
         seen = f"no mass and no friction; turned round {inertia:.3g} {units.mass} and friction that brakes"
@@ -202,7 +202,7 @@ def _fastest(position: Array, samples: int, rate: float) -> float:
     return float(np.quantile(speed, 0.95)) if len(speed) else math.nan
 
 
-class _Motion:
+class _IntervalMeans:
     """Means of a log over two intervals around each node, without gaps: position, velocity, acceleration, force (n,).
 
     The second difference of position over an interval is a mean of the acceleration with triangular weights; so is the
@@ -248,7 +248,7 @@ def _samples(log: Log, machine: Machine | None) -> int:
 
 @np.errstate(over="ignore", invalid="ignore")
 def _derivative_sizes(log: Log, samples: int) -> dict[str, float]:
-    """Sizes of the recorded velocity and acceleration, each over what the position says, where the two are alike."""
+    """Sizes of the recorded velocity and acceleration, each over that of the position, where the two are alike."""
     sizes = {}
     per_second, nodes = log.rate / samples, log.position_m[::samples]
     count = (len(log) - 1) // samples
@@ -292,7 +292,7 @@ def _size_over(recorded: Array, expected: Array) -> float | None:
 
 
 def note_speed_scale(log: Log) -> str:
-    """Return the sentence on a recorded velocity of another scale than its position, within what is refused; or ''."""
+    """Return the sentence on a velocity of another scale than its position's, too close to refuse; or ''."""
     ratio = _derivative_sizes(log, _samples(log, None)).get("velocity_m_s", 1.0)
     if not 1.0 / APART <= ratio <= APART or 1.0 / SCALED <= ratio <= SCALED:
         return ""
@@ -301,12 +301,12 @@ def note_speed_scale(log: Log) -> str:
 
 
 def _units_near(log: Log, name: str, ratio: float) -> list[str]:
-    """The units in which a column would be right that is `ratio` times what it should be."""
+    """The units in which a column would be right that is `ratio` times its true value."""
     units = _units(log, name).items()
     return [unit for unit, (factor, _) in units if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR]
 
 
-def _inertia(motion: _Motion, machine: Machine | None) -> float:
+def _inertia(motion: _IntervalMeans, machine: Machine | None) -> float:
     """Force over acceleration [kg, kg m^2]; of no motion it tells nothing."""
     if len(motion) == 0:
         return 0.0
@@ -316,7 +316,7 @@ def _inertia(motion: _Motion, machine: Machine | None) -> float:
     return find_inertia(*motion.series, distance)
 
 
-def _braking(log: Log, motion: _Motion) -> int:
+def _braking(log: Log, motion: _IntervalMeans) -> int:
     """Sign with which friction brakes and the force is explained; 0 where neither is, or the force has no sign."""
     finite = log.force_N[np.isfinite(log.force_N)]
     if len(motion) == 0 or 0.0 <= finite.min() < UNSIGNED * finite.max():
@@ -324,7 +324,7 @@ def _braking(log: Log, motion: _Motion) -> int:
     return find_sign(*motion.series)
 
 
-def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
+def _check_balance(log: Log, machine: Machine | None, motion: _IntervalMeans) -> None:
     """Refuse a force of the other sign, or whose ratio to the acceleration is no mass of this axis."""
     inertia = _inertia(motion, machine)
     units = log.units
@@ -394,11 +394,11 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
+def _check_force(log: Log, machine: Machine, motion: _IntervalMeans) -> None:
     """Refuse a motion that this force cannot have made, or a force beyond all that the motion takes.
 
     A constant force drives an axis, so its RMS counts for the motion; or a load that stands, so its standard deviation
-    counts against it. What speed an axis loses over a log works against friction without one.
+    counts against it. A loss of speed over a log works against friction without one.
     """
     friction, resisting = machine.friction, _resisting(log, machine)
     direction = np.sign(motion.velocity)

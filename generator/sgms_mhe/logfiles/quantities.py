@@ -72,7 +72,7 @@ def si_values(
 ) -> dict[str, Array]:
     """Columns of the log (n,) by their names, in SI units, all of one length; time by `rate` [Hz] where it has none.
 
-    `note` is called with sentences on what was cut off. Raises InputError for a matrix without a row, columns of
+    `note` is called with sentences on the part cut off. Raises InputError for a matrix without a row, columns of
     unequal length, a position that starts over, and a number with a sign that was recorded without.
     """
     names = {source.column for source in sources}

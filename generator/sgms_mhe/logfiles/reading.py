@@ -61,7 +61,7 @@ class LogContent:
         timing: the clock as it was recorded.
         resampling: of uneven time, where [log] asks for it; else None.
         columns: the quantities (n,) by their columns' names, in SI units, on the grid where there is one.
-        notes: sentences on what was left out or changed.
+        notes: sentences on omitted or changed data.
         payload: whether each record moves a mass of its own, as [log] says.
     """
 
@@ -109,10 +109,10 @@ def understand(
         path: of the file.
         machine: whose [log], kind of axis and rate count; None: the file speaks for itself.
         mapping: in place of the machine's [log].
-        note: called with each sentence on what was left out or changed, before anything is refused.
+        note: called with each sentence on omitted or changed data, before anything is refused.
 
     Raises:
-        InputError: what cannot be understood, with what to write where.
+        InputError: the part not understood, with the key to write.
     """
     path, mapping = Path(path), _mapping(machine, mapping)
     return understand_table(path, read_table(path, mapping), machine, mapping, note)

@@ -1,4 +1,4 @@
-"""Uneven time onto a uniform grid, and what that costs."""
+"""Uneven time onto a uniform grid, and its error."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,8 +26,8 @@ class Interpolation:
 
     Attributes:
         method: a line between neighbours, or a cubic spline; the one that leaves less.
-        error: of the interpolation at most, RMS in the column's unit: every other sample, against what the ones between
-            them give. The grid's neighbours are twice as near.
+        error: of the interpolation at most, RMS in the column's unit: every other sample, against the values the ones
+            between them give. The grid's neighbours are twice as near.
         relative: the same over the column's standard deviation.
     """
 

@@ -39,7 +39,7 @@ class Source:
         column: name in the file's table.
         row: of a matrix, from 1; None for a vector.
         unit: as this package spells it.
-        because: what said so, for people.
+        because: the reason, for people.
     """
 
     quantity: Quantity
@@ -174,7 +174,7 @@ def _is_own(column: Column, quantity: Quantity) -> bool:
 def _candidates(table: Table, quantity: Quantity, bare: LogColumn | None, *, by_name: bool) -> list[Column]:
     """Columns that are this quantity by the log's own name, or else `by_name`, a usual one with one of its units.
 
-    `bare`: what [log] says of it without naming it; where that makes SI values, the unit need not be the file's.
+    `bare`: keys of [log] on it without its name; where that makes SI values, the unit need not be the file's.
     """
     own = [column for column in table.columns if column.header == quantity.column]
     own = own or [column for column in table.columns if _is_own(column, quantity)]
@@ -278,7 +278,7 @@ def _same(columns: Sequence[Column]) -> bool:
 
 
 def _line(quantity: Quantity, name: str, unit: str = "") -> str:
-    """The line of [log] that a user may write, with what a unit needs beside it."""
+    """The line of [log] that a user may write, with the keys a unit needs."""
     needed = {"counts_per": ...} if unit in COUNTS else {"scale": ...} if unit in quantity.recorded else {}
     return log_line(quantity.column, variable=name, unit=unit or "...", **needed)
 
@@ -295,7 +295,7 @@ def _missing(path: Path, table: Table, lost: Sequence[Quantity], mapped: LogColu
 
 
 def _hint(table: Table, quantity: Quantity) -> str:
-    """Return what [log] may say of a column that was not found."""
+    """Return the keys [log] may have on a column not found."""
     if named := _usual(table, quantity.role):
         stated = _stated_unit(named[0], quantity)
         seen = f"in {stated}, which is none of {', '.join(quantity.allowed)}" if stated else "without a unit"
@@ -327,7 +327,7 @@ def _mapped_column(path: Path, table: Table, quantity: Quantity, mapped: LogColu
 
 
 def _mapped_unit(path: Path, quantity: Quantity, mapped: LogColumn, column: Column, stamped: bool) -> tuple[str, str]:
-    """(unit, what said so) of a column that [log] maps: its unit, else the file's, else the SI unit."""
+    """(unit, reason) of a column that [log] maps: its unit, else the file's, else the SI unit."""
     if stamped:
         return quantity.unit, "time stamps"
     if mapped.unit is not None:
@@ -356,7 +356,7 @@ def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Sourc
 
 
 def _check_unit(path: Path, quantity: Quantity, column: Column, unit: str) -> str:
-    """A unit that the file states, where it alone makes SI values; else refused with what [log] has to say."""
+    """A unit that the file states, where it alone makes SI values; else refused with the key for [log]."""
     if unit in quantity.units:
         return unit
     where = f"column {column.name}, unit"

@@ -51,7 +51,7 @@ class Stamps:
     """A column of time stamps, read at once or piece after piece.
 
     Args:
-        order: of dates with slashes, as [log] states it; None: what their numbers tell.
+        order: of dates with slashes, as [log] states it; None: by their numbers.
     """
 
     def __init__(self, order: str | None) -> None:
@@ -67,7 +67,7 @@ class Stamps:
     def seconds(self, tokens: Sequence[str]) -> Array:
         """Seconds since the first time stamp of all (n,), NaN where a field is empty.
 
-        A time of day goes on over midnight. Raises ValueError, with (index, what is allowed), for a field that is no
+        A time of day goes on over midnight. Raises ValueError, with (index, allowed form), for a field that is no
         stamp of the first one's form, and for dates that are several and whose order nothing tells.
         """
         found = self._parts(tokens)

@@ -19,7 +19,7 @@ class Column:
     Attributes:
         name: unique within the file; of names that occur twice `name (1)`, `name (2)`.
         header: the name as it stands there.
-        unit: what the file states beside the name (a unit row, an attribute); empty where it states nothing.
+        unit: stated by the file beside the name (a unit row, an attribute); empty where it states nothing.
         shape: of the values where it is known before reading, else empty.
     """
 
@@ -47,15 +47,15 @@ class Table:
 
     Attributes:
         form: the format, for people.
-        dialect: what was understood of the format, as (what, how) for people; empty where there is nothing to choose.
+        dialect: understood parts of the format, as (what, how) for people; empty where there is nothing to choose.
         columns: everything that was found, in the file's order.
         read: values of columns by name: real numbers (n,) or (rows, n), or seconds since the first time stamp (n,);
-            raises InputError for what is neither.
+            raises InputError otherwise.
         row: where sample i (from 0) stands in the file.
         stamped: names of the columns that hold time stamps.
-        notes: sentences on what was left out.
+        notes: sentences on omitted data.
         clocks: name of the column that holds the time of another one, where columns have clocks of their own.
-        run: what the file states of its run, as `Log` has it.
+        run: stated by the file, as `Log` has it.
     """
 
     form: str
@@ -106,7 +106,7 @@ class StoredArray:
 
 
 def table_of_arrays(path: Path, form: str, allowed: str, found: Mapping[str, StoredArray]) -> Table:
-    """The table of a file's variables by name; `allowed`: what is wanted instead of a damaged file."""
+    """The table of a file's variables by name; `allowed`: form wanted instead of a damaged file."""
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
         with refuse_damage(path, allowed):

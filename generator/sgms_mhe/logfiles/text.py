@@ -29,7 +29,7 @@ LARGEST: Final = 2**30
 def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
     """The table of a text whose rows have `least` values or more.
 
-    Raises InputError, with what to write where; OSError as open does.
+    Raises InputError, with the key to write; OSError as open does.
     """
     text, encoding = decode(path, _content(path), None if hints is None else hints.encoding)
     is_json = Path(path.stem if path.suffix.lower() == COMPRESSED else path.name).suffix.lower() in SUFFIXES
@@ -84,12 +84,12 @@ def _content(path: Path) -> bytes:
 
 
 class Cells:
-    """The columns of a text, read at once or piece after piece: what earlier rows told holds for later ones.
+    """The columns of a text, read at once or piece after piece: findings on earlier rows hold for later ones.
 
     Args:
         path: of the text, for messages.
         dialect: of the whole text, or of its beginning.
-        hints: what [log] states of it.
+        hints: keys of [log].
 
     Attributes:
         columns: everything that the header names.
@@ -119,7 +119,7 @@ class Cells:
         Args:
             dialect: with these rows.
             names: of the columns.
-            ahead: whether a row may tell of those before it what their groups of thousands are.
+            ahead: whether a row may tell of those before it the mark of their groups of thousands.
 
         Raises:
             InputError: names the first row with another number of fields, or field that is no number.

@@ -87,7 +87,7 @@ def check_rising(path: Path, time: Array, row: Callable[[int], str]) -> None:
 
 
 def check_steps(path: Path, time: Array, step: float, row: Callable[[int], str]) -> None:
-    """Refuse time whose steps are not `step` [s] within what a log may have, with the first row that is off."""
+    """Refuse time whose steps are not `step` [s] within a log's tolerance, with the first row that is off."""
     steps = np.diff(time)
     uneven = np.abs(steps - step) > JITTER * step
     if not uneven.any():

@@ -1,4 +1,4 @@
-"""The machine file: what a user writes, checked table by table, and the resolved machine that comes of it."""
+"""The machine file: the user's text, checked table by table, and the resolved machine of it."""
 
 from sgms_mhe.machine.axis import BASE_PARAMETERS as BASE_PARAMETERS
 from sgms_mhe.machine.axis import Friction as Friction

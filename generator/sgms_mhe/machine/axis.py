@@ -1,4 +1,4 @@
-"""Tables [plant] and [friction]: what moves, and the law and parameters of its friction."""
+"""Tables [plant] and [friction]: the moving mass, and the law and parameters of its friction."""
 
 from collections.abc import Mapping
 from typing import Any, Final, Literal, Self

@@ -1,4 +1,4 @@
-"""Tables [compensation] and [code]: what the emitted C feeds forward, and the numbers that it computes with."""
+"""Tables [compensation] and [code]: the emitted C's feed-forward, and its numbers."""
 
 from typing import Literal
 

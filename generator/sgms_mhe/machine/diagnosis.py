@@ -1,4 +1,4 @@
-"""`[diagnosis]`: what a user of an axis may want a diagnosis to decide by, and how much work it may do.
+"""`[diagnosis]`: a user's thresholds for a diagnosis, and how much work it may do.
 
 All other thresholds are constants beside the code that uses them. Defaults and constants were tuned on draws of
 `sgms-mhe bench-diagnosis` (simulated axes with hidden causes) and tried on measured records. Where a right name weighs

@@ -1,4 +1,4 @@
-"""Table [drive]: what a commanded axis makes of its command, where no force was recorded."""
+"""Table [drive]: the force a commanded axis makes of its command, where no force was recorded."""
 
 from typing import Any, ClassVar, Final, Literal, Self
 

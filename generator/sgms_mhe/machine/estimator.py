@@ -43,7 +43,7 @@ class Noise(MachineTable):
 
 
 class Disturbance(MachineTable):
-    """Errors of the model that the estimator takes out beside what it is asked to estimate."""
+    """Errors of the model that the estimator takes out beside the estimated parameters."""
 
     mass: float = quantity("1 sigma of the mass or inertia, relative; 0: it is right", "1", 0.0, ge=0, le=1)
     gain: float = quantity(
@@ -76,7 +76,7 @@ class Disturbance(MachineTable):
 
 
 class ArrivalCost(MachineTable):
-    """Summary of what lies before the horizon."""
+    """Summary of the past before the horizon."""
 
     update: Literal["riccati", "fixed"] = text("update of the arrival cost", "riccati or fixed", "riccati")
 

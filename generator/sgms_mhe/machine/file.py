@@ -1,6 +1,6 @@
 """The machine file as a whole: its tables, each checked by itself, and the JSON Schema that editors read.
 
-What needs more than the file to be checked or filled in (the effects' parameters, the names that an estimator may use,
+Checks and defaults beyond the file itself (the effects' parameters, the names that an estimator may use,
 the integrator that the friction law asks for) is taken as it is written; `sgms_mhe.configuration` resolves it.
 """
 

@@ -67,7 +67,7 @@ class LogColumn(_Spare):
 
     @property
     def is_bare(self) -> bool:
-        """True where no variable is named: what is said holds for the one that is found by its own or usual name."""
+        """True where no variable is named: the keys hold for the one that is found by its own or usual name."""
         return not self.name and self.row is None
 
     @model_validator(mode="after")
@@ -178,7 +178,7 @@ class LogMapping(_Spare):
 
 
 def log_line(column: str, **keys: object) -> str:
-    """The line of [log] that states these keys of a column; `...` for what its reader knows."""
+    """The line of [log] that states these keys of a column; `...` for values its user knows."""
 
     def write(value: object) -> str:
         if isinstance(value, str):
@@ -203,7 +203,7 @@ _ALWAYS: Final = frozenset(
 def table_of_flags(
     rate: float | None, wrap: float | None, units: Mapping[str, str], force_scale: float | None
 ) -> dict[str, Any]:
-    """A table [log] of what holds for columns of either kind of axis that are found by their usual names.
+    """A table [log] of keys for columns of either kind of axis that are found by their usual names.
 
     Args:
         rate: samples per second of a file without a time column [Hz].

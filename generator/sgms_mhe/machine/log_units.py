@@ -1,6 +1,6 @@
 """Quantities of a log, linear and rotary, and the units in which a recorded file may hold them.
 
-Where the two kinds of axis differ for a reader of logs: which column a quantity has, and in what SI unit.
+Where the two kinds of axis differ for a reader of logs: which column a quantity has, and in which SI unit.
 """
 
 import math
@@ -31,11 +31,11 @@ class Quantity:
     """One quantity of a log.
 
     Attributes:
-        role: what it is.
+        role: its meaning.
         column: name of its column, which ends in its SI unit.
         unit: that unit.
         units: SI value = factor * value + shift, for each unit whose factor is known beforehand.
-        counted: what `counts_per` counts, in the SI unit; 0 where the quantity is never counted.
+        counted: quantity of `counts_per`, in the SI unit; 0 where the quantity is never counted.
         recorded: units that only a scale turns into this quantity.
     """
 
@@ -138,7 +138,7 @@ _SPELLINGS: Final = {
 
 
 def normal_unit(text: str) -> str:
-    """A unit as this package spells it; what is no known spelling comes back without brackets and doubled spaces.
+    """A unit as this package spells it; an unknown spelling comes back without brackets and doubled spaces.
 
     'µm', '[um]' and 'micron' are um; 'Nm', 'N·m' and 'N*m' are N m; 'mm/s2' and 'mm s^-2' are mm/s^2.
     """

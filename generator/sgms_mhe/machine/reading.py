@@ -1,4 +1,4 @@
-"""Machine files: find, merge `extends`, check each table, and say what is wrong in the user's own terms."""
+"""Machine files: find, merge `extends`, check each table, and describe errors in the user's own terms."""
 
 import difflib
 import hashlib
@@ -43,7 +43,7 @@ class MachineFile:
     """A machine file as it is written: each table sound, nothing resolved that needs more than the file.
 
     Attributes:
-        tables: what it says.
+        tables: its content.
         content: the same as it stands there, `extends` merged, defaults not filled in.
         layers: the file and everything it extends, the most specific first.
     """
@@ -62,14 +62,14 @@ class MachineFile:
         return _refusal(self.layers, loc, value, allowed)
 
     def invalid(self, error: ValidationError, table: Sequence[Key]) -> InputError:
-        """The error of what pydantic refused in a table."""
+        """The error for a value pydantic refused in a table."""
         return _input_error(error, self.layers, table)
 
 
 def read_machine_file(machine: str | Path) -> MachineFile:
     """Read a machine file, given by path or by its bare name in a `machines` folder.
 
-    Raises InputError (file, dotted key, value, what is allowed) for everything that is wrong with its tables.
+    Raises InputError (file, dotted key, value, allowed values) for every error in its tables.
     """
     layers = _read_layers(_find(machine, Path(), str(machine), "machine"))
     content: dict[str, Any] = {}
@@ -88,7 +88,7 @@ def machine_file(content: Mapping[str, Any], layers: Sequence[Layer]) -> Machine
 
 
 def digest_content(content: Mapping[str, Any]) -> str:
-    """Return the digest (hex) of a file's merged content, without what changes neither model nor estimator."""
+    """Return the digest (hex) of a file's merged content, without keys irrelevant to model and estimator."""
     counted = {key: entry for key, entry in content.items() if key not in ("name", "description", "log", "diagnosis")}
     return hashlib.sha256(json.dumps(counted, sort_keys=True, default=str).encode()).hexdigest()[:BASE_DIGITS]
 
@@ -132,7 +132,7 @@ def log_mapping(table: Mapping[str, Any], source: str | Path) -> LogMapping:
 
 
 def log_table(own: Mapping[str, Any], stated: Mapping[str, Any]) -> dict[str, Any]:
-    """Content of [log] with what is stated besides laid over it; a variable that stands alone is still named."""
+    """Content of [log] with other stated keys laid over it; a variable that stands alone is still named."""
     return {
         **own,
         **{

@@ -1,4 +1,4 @@
-"""The machine that a file describes, with nothing left open: what every later stage works on."""
+"""The machine that a file describes, with nothing left open, for all later stages."""
 
 import hashlib
 import json
@@ -51,8 +51,8 @@ class Machine(Shown):
         name, description, plant, friction, sampling, drive, compensation, code, effects, diagnosis, log: keys and
             tables of the file.
         source: the file that this machine was read from.
-        estimator: what it estimates has the catalogue's names, those of a linear axis, as `effects` has.
-        content: what the file says, `extends` merged, defaults not filled in, in the names of this kind of axis.
+        estimator: its parameters have the catalogue's names, those of a linear axis, as `effects` has.
+        content: of the file, `extends` merged, defaults not filled in, in the names of this kind of axis.
     """
 
     name: str

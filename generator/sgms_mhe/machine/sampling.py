@@ -23,18 +23,8 @@ MOST_SAMPLES: Final = 1e5
 """Samples of an interval: an update every ten seconds at 10 kHz."""
 RATIO_TOLERANCE: Final = 1e-9
 READINGS_PER_CUTOFF: Final = 2.0
-"""Of velocity_cutoff: more readings per second than this say little new, the filters having made them alike."""
+"""Of velocity_cutoff: more measurements per second than this say little new, the filters having made them alike."""
 SMALLEST_CUTOFF: Final = 1e-4  # of rate: below it the low-pass coefficients lose their digits
-
-
-REMOVED_SCHEMES: Final = ("rk2", "bs23", "euler")
-REMOVED_SCHEME: Final = "rk4 or flow: rk2, bs23 and euler, which take more work for the same accuracy, are no more"
-REMOVED_KEYS: Final[Mapping[str, str]] = {
-    "velocity": "no such key any more: the velocity is constant from sample to sample, or a line through merged "
-    "samples where substeps < rate / update_rate",
-    "tolerance": "no such key any more: displacement and slow_displacement bound the steps of flow and rk4",
-}
-"""What takes the place of keys and schemes that earlier versions had; docs/rejected.md has the reasons."""
 
 
 class Integrator(MachineTable):
@@ -62,18 +52,6 @@ class Integrator(MachineTable):
     slow_displacement: float = quantity(
         "of the flow: the same below the speed at which the gate saturates", "1", 0.02, gt=0, le=1
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_removed(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping):
-            return data
-        for key, instead in REMOVED_KEYS.items():
-            if key in data:
-                raise refusal(key, data[key], instead)
-        if data.get("scheme") in REMOVED_SCHEMES:
-            raise refusal("scheme", data["scheme"], REMOVED_SCHEME)
-        return data
 
 
 class Sampling(MachineTable):

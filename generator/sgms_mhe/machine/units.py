@@ -1,8 +1,8 @@
 """Names of the same quantities for the two kinds of axis: units, and names that end in a unit.
 
 A rotary axis is a linear one with an angle for the position, a torque for the force and an inertia for the mass. The
-model, the estimator and the diagnosis know generalised coordinates alone, under the linear axis's names; what a user
-writes or reads has the names of his axis. This is the one place where the two meet.
+model, the estimator and the diagnosis know generalised coordinates alone, under the linear axis's names; files and
+texts of a user have the names of their axis. This is the one place where the two meet.
 """
 
 from collections.abc import Mapping, Sequence
@@ -78,8 +78,8 @@ class Units:
     Attributes:
         kind: of the axis.
         position, velocity, acceleration, force, stiffness, damping, mass: units.
-        push: what moves the axis.
-        inert: what of the axis resists acceleration.
+        push: force or torque.
+        inert: mass or inertia, which resists acceleration.
         metre: the unit of position as a word, `metres` of several.
         pico: name of the smallest step of a position in single precision.
     """
@@ -100,7 +100,7 @@ class Units:
 
     @property
     def balance(self) -> str:
-        """Label of what estimates call friction: it holds every force of the axis but that of inertia, gravity too."""
+        """Label of the friction of estimates: it holds every force of the axis but that of inertia, gravity too."""
         return f"{self.push} less inertia [{self.force}]"
 
     def named(self, name: str) -> str:

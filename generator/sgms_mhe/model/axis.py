@@ -1,4 +1,4 @@
-"""The symbolic axis under construction: what the S-GMS law and the effects contribute to."""
+"""The symbolic axis under construction: the S-GMS law and the effects contribute to it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ SETTABLE: Final = (
 
 @dataclass(frozen=True)
 class StateSpec:
-    """One integration state and what the estimator assumes of it.
+    """One integration state and the estimator's assumptions on it.
 
     Attributes:
         name: name in reports and comments.
@@ -63,7 +63,7 @@ class FreeParameter:
         name: machine-file name of the group (`stiffness`, `force_ripple.amplitude_N`).
         column: name in results (`stiffness_1`, `coulomb`, `force_ripple.amplitude_N`).
         nominal: value of the machine file [unit].
-        scale: what theta - 1 = 1 means [unit].
+        scale: meaning of theta - 1 = 1 [unit].
         lower: bound on theta, -inf if none.
         upper: bound on theta, inf if none.
     """
@@ -108,7 +108,7 @@ class SymbolicAxis:
         coulomb: nominal f_C [N], the unit of the states that are forces.
         step: time between samples [s], for which a sample's value counts, up to its own time.
         measured: the signals w as the machine logs them; `position` [m], `velocity` [m/s], `acceleration` [m/s^2],
-            `force` [N], `time` [s] start as these, and an effect may replace them by what is really there.
+            `force` [N], `time` [s] start as these, and an effect may replace them by the real ones.
         velocity_ratio: real over measured velocity.
         coulomb_factor, viscous_factor: multiply f_C and sigma_v.
         micro_viscous: damping [N s/m] shared out to the elements by nu_i, on top of their own sigma_i.
@@ -119,11 +119,11 @@ class SymbolicAxis:
         stribeck_share: exp(-(v/v_s)^2), the share of the Stribeck effect that is there at this speed.
         gate_per_velocity: gamma / v_s [s/m], how sharply directions are distinguished.
         coulomb_force, damping: f_C [N] and sigma_v [N s/m], before any factor.
-        level_force: what the level that elements slip at has beyond its factors [N].
+        level_force: part of the elements' level beyond its factors [N].
         engagement: share of the velocity that reaches the friction elements.
-        load: what acts on the axis from outside, and what its mass is more than the machine file's [N]; friction-like
+        load: force from outside, and of the mass beyond the machine file's [N]; friction-like
             in sign, complete from the stage `level` on.
-        output: what the model predicts, the logged force minus mass * measured acceleration [N].
+        output: prediction of the model, the logged force minus mass * measured acceleration [N].
         element_force: sum of nu_i chi_i, the elements' force over f_C, from when they are declared.
         states: elements first.
         scope: label of the effect that contributes at the moment; its states are named after it.
@@ -164,7 +164,7 @@ class SymbolicAxis:
 
     @property
     def mass(self) -> float:
-        """The machine file's [kg]; what is made of it does not follow a payload."""
+        """The machine file's [kg]; quantities made of it do not follow a payload."""
         self.reads_mass = True
         return self.nominal_mass
 
@@ -203,7 +203,7 @@ class SymbolicAxis:
     def add_mass(self, mass: ca.SX, nominal: float) -> None:
         """Add the inertial force of a mass [kg].
 
-        What is estimated of it has the mean acceleration for a regressor, where there is one: the noise of the
+        Its estimated part has the mean acceleration for a regressor, where there is one: the noise of the
         acceleration is in the measured friction too, and would draw the estimate.
         """
         if self.mean_acceleration is None:

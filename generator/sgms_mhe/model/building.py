@@ -1,4 +1,4 @@
-"""Machine file to symbolic model: the three functions of docs/model.md and what the estimator assumes of them."""
+"""Machine file to symbolic model: the three functions of docs/model.md and the estimator's assumptions on them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,14 +30,14 @@ class Model:
         to_node: node state x (n_x) of (chi, theta).
         from_node: chi (n_x) of (x, theta).
         output: friction force [N] of (chi, w, theta).
-        feed_forward: what the drive has to give beyond mass * acceleration [N], of (chi, w, theta): `output` without
-            what makes the log late, and with states that acceleration or drive force move at rest where these hold.
+        feed_forward: force of the drive beyond mass * acceleration [N], of (chi, w, theta): `output` without
+            the delays of the log, and with states that acceleration or drive force move at rest where these hold.
         deflection: z [m] (n_z) of (chi, theta).
         level: s(v) / f_C times the effects' factors, of (w, theta), and of chi where an effect's state sets it.
         rho: d(chi_i)/dt of an element that sticks over the measured velocity [1/m] (n_z), of (w, theta):
             kappa_i / (nu_i f_C), times real over measured velocity where an effect tells them apart.
         names: per state, names of intermediate values of its rate.
-        reads_mass: whether the mass stands in these equations; otherwise only what is logged hangs on it.
+        reads_mass: whether the mass stands in these equations; otherwise only the logged friction depends on it.
     """
 
     machine: Machine
@@ -114,7 +114,7 @@ class Model:
         """Return True if the output is affine in (node state, theta) jointly, whatever the signals are.
 
         Its Jacobian is then the same at any two points, up to rounding. It is compared at random ones of all sizes:
-        what cancels on paper (the Coulomb level of a node state that is a force) still stands in the expression.
+        terms that cancel on paper (the Coulomb level of a node state that is a force) still stand in the expression.
         """
         variables = ca.vertcat(self.x, self.theta)
         output = ca.substitute(self.output, self.chi, self.from_node)
@@ -208,7 +208,7 @@ class _Parameters:
         return [self.take(name, f"{name}_{i + 1}", p, p, -np.inf, np.inf) for i, p in enumerate(nominal)]
 
     def shares(self, name: str, nominal: tuple[float, ...]) -> list[ca.SX]:
-        """Parameters that sum to 1: the largest takes what the others leave, at least a share of its nominal."""
+        """Parameters that sum to 1: the largest takes the rest of the others, at least a share of its nominal."""
         largest = nominal.index(max(nominal))
         taken = [
             ca.SX(p) if i == largest else self.take(name, f"{name}_{i + 1}", p, p, -np.inf, np.inf)
@@ -240,7 +240,7 @@ _BEHIND_THE_DRIVE: Final[tuple[Stage, ...]] = ("log", "actuator")
 
 
 @dataclass(frozen=True)
-class _Effect:
+class _BuiltEffect:
     """An effect of the machine file: its parameters as numbers and as expressions, by the names of results."""
 
     definition: EffectDefinition
@@ -261,7 +261,7 @@ class _Effect:
             raise InputError(self.source, f"effect {self.label}", dict(self.nominal), allowed) from None
 
 
-def _effects(machine: Machine, parameters: _Parameters) -> tuple[_Effect, ...]:
+def _effects(machine: Machine, parameters: _Parameters) -> tuple[_BuiltEffect, ...]:
     scales, effects = scales_of(machine), []
     for entry in machine.effects:
         definition = effect_definition(entry.name)
@@ -277,11 +277,11 @@ def _effects(machine: Machine, parameters: _Parameters) -> tuple[_Effect, ...]:
                 p.lower,
                 p.upper,
             )
-        effects.append(_Effect(definition, entry.label, nominal, expressions, machine.source))
+        effects.append(_BuiltEffect(definition, entry.label, nominal, expressions, machine.source))
     return tuple(effects)
 
 
-def _contribute(effects: Sequence[_Effect], axis: SymbolicAxis, *stages: Stage) -> None:
+def _contribute(effects: Sequence[_BuiltEffect], axis: SymbolicAxis, *stages: Stage) -> None:
     """Add the effects of these stages, one stage after the other."""
     for stage in stages:
         for effect in effects:
@@ -289,7 +289,7 @@ def _contribute(effects: Sequence[_Effect], axis: SymbolicAxis, *stages: Stage) 
                 effect.contribute(axis)
 
 
-def _sum_ahead(effects: Sequence[_Effect], axis: SymbolicAxis, read_as: ReadAs) -> ca.SX:
+def _sum_ahead(effects: Sequence[_BuiltEffect], axis: SymbolicAxis, read_as: ReadAs) -> ca.SX:
     """The forces of some effects [N], known before any level or force is set that hangs on them."""
     before, axis.output = axis.output, ca.SX(0.0)
     for effect in effects:
@@ -299,7 +299,7 @@ def _sum_ahead(effects: Sequence[_Effect], axis: SymbolicAxis, read_as: ReadAs) 
     return found
 
 
-def _prompt_drive(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
+def _prompt_drive(effects: Sequence[_BuiltEffect], axis: SymbolicAxis) -> ca.SX:
     """The drive's force behind all stages, effects with states left out: these make the log late."""
     reads, logged = axis.reads_mass, axis.drive
     for effect in effects:
@@ -432,7 +432,7 @@ class PlainForce:
         theta: their scaled values (n).
         w: measured signals (5).
         force: [N], of (w, theta).
-        read_as: what other effects may read it as.
+        read_as: quantity as which other effects may use it.
     """
 
     parameters: tuple[FreeParameter, ...]
@@ -445,7 +445,7 @@ class PlainForce:
 def plain_force(machine: Machine, label: str) -> PlainForce | None:
     """An effect of the machine as a force of the signals and its own parameters, if it is nothing else.
 
-    What it reads and changes of the axis is told from its contribution to one that nothing is known of.
+    Its inputs and outputs are found by its contribution to one that nothing is known of.
     """
     parameters, axis = _Parameters(machine), _bare_axis(machine)
     effect = next(e for e in _effects(machine, parameters) if e.label == label)

@@ -54,7 +54,7 @@ class Elements:
 def whole_shares(fraction: Sequence[float], nominal: Sequence[float]) -> tuple[list[float], float]:
     """Fractions that sum to 1, and the sum of levels over f_C: 1 but where the largest keeps its least.
 
-    `fraction`: what was found of all but the largest nominal one, whose entry does not count.
+    `fraction`: the identified ones of all but the largest nominal one, whose entry does not count.
     """
     largest = max(range(len(nominal)), key=nominal.__getitem__)
     others = sum(value for i, value in enumerate(fraction) if i != largest)

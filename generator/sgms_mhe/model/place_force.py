@@ -1,4 +1,4 @@
-"""A force that belongs to the place, which the estimator follows: what no effect of the machine file accounts for."""
+"""A force that belongs to the place, which the estimator follows: not explained by any effect of the machine file."""
 
 from typing import Final
 

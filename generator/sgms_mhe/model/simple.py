@@ -17,7 +17,7 @@ ENGINE_STEP: Final = 1e-3
 class SimpleAxis:
     """Coulomb and viscous friction of an axis, its Stribeck effect, and forces of place.
 
-    inertia [kg, kg m^2], what effects add to it included; coulomb [N, N m]; viscous [N s/m, N m s/rad]; stribeck_ratio
+    inertia [kg, kg m^2], effects included; coulomb [N, N m]; viscous [N s/m, N m s/rad]; stribeck_ratio
     and stribeck_velocity [m/s, rad/s] of the law. Against the drive act also `constant` + `stiffness` q + `sine` sin q
     + `cosine` cos q [N, N m], the sines on a joint that turns, and the ripples: each (amplitude, wave number, phase).
     """
@@ -52,7 +52,7 @@ class SimpleAxis:
     def friction(self, velocity: Array, force: Array, step: float) -> Array:
         """Return the friction (n) [N, N m] that a simulator computes along a motion without forces of place.
 
-        Engines that step velocities take what stops the axis within a step h, `ENGINE_STEP`, up to the level s:
+        Engines that step velocities take a force that stops the axis within a step h, `ENGINE_STEP`, up to the level s:
         clip(u - damping v + M v / h, -s, s) + damping v.
 
         Args:

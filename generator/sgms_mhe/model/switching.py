@@ -16,7 +16,7 @@ def check_switching(machine: Machine, axis: SymbolicAxis, elements: Elements) ->
     This package's effects say so themselves (`smooth_only`), and are refused where the machine file is read.
 
     Raises:
-        InputError: what stands in the way, and why.
+        InputError: the obstacle, and its reason.
     """
 
     def refuse(why: str) -> NoReturn:

@@ -54,13 +54,13 @@ class Controller:
 
 @dataclass(frozen=True)
 class AxisConfig:
-    """How an axis is simulated, beyond what its machine file says.
+    """How an axis is simulated, beyond its machine file.
 
     Attributes:
         law: friction law, "sgms" or the switching "maxwell_slip" (stick until the level, slip at it); None: the machine
             file's.
         control: "position" (closed loop), or "prescribed" (the mass follows the reference exactly; velocity constant
-            per sample, the force is what that takes), or driven by the reference: "force" of the drive, "logged" (that
+            per sample, the force follows), or driven by the reference: "force" of the drive, "logged" (that
             of a log, linear between samples), "command" (of the machine's [drive], held between samples).
         bandwidth_Hz: of the default controller; None: 80 Hz, or 1/40 of the sample rate where that is less.
         controller: gains; None: `Controller.pid` at the bandwidth for the machine's mass.

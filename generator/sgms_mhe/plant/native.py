@@ -44,7 +44,7 @@ class NativeCompensation:
 
     Attributes:
         function: a `COMPENSATION`.
-        context: its first argument; whoever makes it keeps what it points to alive.
+        context: its first argument; its maker keeps the pointed-to data alive.
     """
 
     function: Any
@@ -181,7 +181,7 @@ def base_limits() -> Mapping[str, Limits]:
 
 @dataclass
 class _Parameter:
-    """One true number of the plant: its value before drift, how to set it, what it may be."""
+    """One true number of the plant: its value before drift, its setter, its limits."""
 
     name: str
     value: float
@@ -243,7 +243,7 @@ class NativeAxis:
             self._add_effect(effect, effect if seen[effect] == 1 else f"{effect}_{seen[effect]}", values)
 
     def _declare_drive(self, drive: Drive, limits: Mapping[str, Limits]) -> None:
-        """Set what the drive has; its numbers are `drive.KEY`."""
+        """Set numbers of the drive; its numbers are `drive.KEY`."""
         self._setting("drive")(DRIVES.index(drive.kind) + 1)
         for key, value in drive.model_dump(exclude={"kind", "gain"}, exclude_none=True).items():
             send = self._setting(DRIVE.get(key, key))

@@ -81,7 +81,7 @@ def simulate_axis(
     compensation: Compensation | None = None,
     truth: bool = True,
 ) -> SimulatedRun:
-    """Move a machine's axis along a trajectory and log what its sensors say.
+    """Move a machine's axis along a trajectory and log its sensors.
 
     The true parameters are the machine's, then `parameters` replace, then `scale` multiplies them, then `drift`
     multiplies them over time, constant in blocks of `drift_block_s`. Their names: mass, stiffness, stiffness_1, ...,

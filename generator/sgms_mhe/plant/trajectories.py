@@ -118,7 +118,7 @@ class Motion:
 
     @property
     def duration_s(self) -> float:
-        """Time of what has been put together so far."""
+        """Time of the trajectory so far."""
         return sum(map(len, self._parts)) / self.rate
 
     def trajectory(self, name: str) -> Trajectory:

@@ -1,4 +1,4 @@
-"""Reference trajectories out of files: what `plan` writes, and what a motion controller exports."""
+"""Reference trajectories out of files: those of `plan`, and exports of motion controllers."""
 
 from pathlib import Path
 from typing import Final

@@ -1,1 +1,1 @@
-"""Logs behind the signal chain as rows and blocks, what they excite, and what a fit to them proves."""
+"""Logs behind the signal chain as rows and blocks, their excitation, and the evidence of a fit."""

@@ -106,16 +106,16 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
 
 
 def noise_floor(recording: Recording, residual: Array, encoder: Array | None = None) -> float:
-    """RMS of the noise at the fit's rate, from what a smooth curve through a few rows leaves [N].
+    """RMS of the noise at the fit's rate, from the residual of a smooth curve through a few rows [N].
 
-    Model errors are smooth over SMOOTH_ROWS but at reversals and pushes, whose segments are told by what they leave,
-    and where they come again in time or in place (`quiet_variance`). What an encoder's steps make is slow where few of
+    Model errors are smooth over SMOOTH_ROWS but at reversals and pushes, whose segments are found by their residual,
+    and where they come again in time or in place (`quiet_variance`). Noise of an encoder's steps is slow where few of
     them pass, comes again at one speed, and is largest where stiff elements stick: no less than that.
 
     Args:
         recording: the record.
         residual: measured minus model (m) [N].
-        encoder: force that the encoder's steps leave (m) [N]; None: what they make of the acceleration.
+        encoder: force that the encoder's steps leave (m) [N]; None: by their effect on the acceleration.
     """
     quiet, background = _quiet_power(recording, residual)
     encoder = recording.steps_inertia if encoder is None else encoder
@@ -138,7 +138,7 @@ def misread_forces(inertial: Array, friction: Sequence[Array]) -> list[Array]:
 
 
 def largest_force(recording: Recording, forces: Sequence[Array]) -> Array | None:
-    """Return the largest (m) of what encoders leave; None where there is none, or one is not finite.
+    """Return the largest (m) of encoders' residuals; None where there is none, or one is not finite.
 
     An axis that stops at few places is read right or wrong there by chance: by a factor of two from encoder to encoder.
     """
@@ -292,7 +292,7 @@ def difference_statistic(first: Array, second: Array) -> float:
 def inconstancy(recording: Recording, contribution: Array, residual: Array, *, inertial: bool = False) -> float:
     """Return the change of a cause's size over the record: 0 for the same everywhere, 1 for as much as the size.
 
-    What only imitates something else fits here and misfits there. The record is cut into parts by time, by place and by
+    An imitation of something else fits here and misfits there. The record is cut into parts by time, by place and by
     speed; within each part the residual is regressed on the cause's contribution c: a - 1 = c'e / c'c. The RMS of
     a - 1, weighted by c'c, is as large as the worst of the three ways to cut says. And of c and e alone that changes
     faster than a part of the record, where some of c does: a force that wanders takes on the size of a slow cause, a
@@ -300,10 +300,10 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array, *, i
 
     Args:
         recording: the record.
-        contribution: what the cause explains that the others cannot, residual without minus residual with it (m).
+        contribution: explained by the cause alone, residual without minus residual with it (m).
         residual: with it (m).
         inertial: the cause acts where the axis accelerates. By place and by speed such parts are mixed with
-            break-away to different degrees, and what the model gets wrong there would count against the cause: by time
+            break-away to different degrees, and the model's error there would count against the cause: by time
             only.
     """
     used = recording.used
@@ -336,7 +336,7 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
 
     Noise, by the change of the numbers without each block (`jackknife_covariance`), robust to colour within a block and
     to numbers that few blocks tell of, but no less than if the residual were white, or stationary with its own spectrum
-    (`stationary_covariance`): what is slower than a block. And the error of the model, which does not average out as
+    (`stationary_covariance`): parts slower than a block. And the error of the model, which does not average out as
     noise does: taken as coherent over SMOOTH_ROWS.
 
     Args:
@@ -345,7 +345,7 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
         residual: measured minus model (m) [N].
         H: information of the used rows and of priors (p, p).
         inverse: of H, where that has one.
-        wrong: RMS of what the model gets wrong [N].
+        wrong: RMS of the model's error [N].
     """
     noise = jackknife_covariance(recording, X, residual, H)
     # Blocks that happen to balance must not promise more than noise would allow.
@@ -380,7 +380,7 @@ def stationary_covariance(recording: Recording, X: Array, residual: Array, inver
 
     A sandwich in the frequency domain: the spectrum of the used rows' residual (m), a mean over SMOOTH_SHARE of the
     frequency to either side, weights the columns. Of a residual that wanders a block knows nothing, and numbers whose
-    columns wander too are far less sure than as many white rows would make them. What the fit itself took out of a
+    columns wander too are far less sure than as many white rows would make them. The share the fit itself took out of a
     frequency, the share of its columns there, counts as missing.
     """
     length = 2 * next_fast_len(len(residual), real=True)
@@ -405,7 +405,7 @@ def stationary_covariance(recording: Recording, X: Array, residual: Array, inver
 
 
 def jackknife_covariance(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
-    """Covariance from what the numbers move by when one block is left out (jackknife), of X (m, p): (p, p).
+    """Covariance from the numbers' shifts when one block is left out (jackknife), of X (m, p): (p, p).
 
     A sandwich over blocks takes their residuals as they are; but in a block that alone tells of a number the fit has
     already made them small. H (p, p): information of all.

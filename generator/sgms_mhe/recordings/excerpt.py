@@ -46,10 +46,10 @@ def make_excerpt(recording: Recording) -> Recording:
     """Return the record that models are fitted to; of a longer one segments from all over it, `fitted_time` in all.
 
     A piece is a block and the motion before it, which the fit runs through and does not see: as long as states need to
-    forget what was before. The record is cut into as many stretches of time as there are to be pieces. Each gives the
+    forget the past. The record is cut into as many stretches of time as there are to be pieces. Each gives the
     one of its blocks that is richest in something, taking turns: reversals, acceleration, speed, slow motion, and
     places that no piece has been to. So drifts and steps are seen from the first stretch to the last, pitches over the
-    whole range, and what an axis does rarely is seen too. Rows are as fine as those of a short record.
+    whole range, and rare motion is seen too. Rows are as fine as those of a short record.
     """
     step = recording.factor / recording.machine.sampling.rate
     seconds = recording.machine.diagnosis.fitted_time

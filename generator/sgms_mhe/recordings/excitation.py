@@ -111,8 +111,8 @@ def in_step(recording: Recording, frequency: Array) -> Mask:
 def find_steady_blocks(recording: Recording) -> Mask | None:
     """Blocks (b) all of whose rows go on at one speed; None where the motion has more than one.
 
-    What such a motion does besides is to start and to stop. There a force that goes with place parts from one that goes
-    with time; but there an axis also does what it does nowhere else, so that is no evidence for either.
+    Besides, such a motion starts and stops. There a force that goes with place parts from one that goes
+    with time; but there an axis also moves as nowhere else, so that is no evidence for either.
     """
     used, velocity = recording.used, recording.velocity
     speed = np.abs(velocity)

@@ -141,7 +141,7 @@ class FreeRun(Shown):
         }
 
 
-class MotionRecord:
+class FreeRunRecord:
     """A log as free runs take it: its stretches without a gap, and the motion that the axis follows before a start.
 
     `start_s`, `end_s` [s since the log's first sample] say which part is run through.
@@ -274,7 +274,7 @@ def run_freely(
         InputError: a log without a force or a command for this drive, or without a stretch long enough; an effect that
             the plant does not know.
     """
-    record = MotionRecord(machine, log, start_s, end_s)
+    record = FreeRunRecord(machine, log, start_s, end_s)
     simulated, since, starts = _run_stretches(machine, record)
     compared = since >= FIRST
     error = (simulated - record.position)[compared]
@@ -288,14 +288,14 @@ def run_freely(
 def measure_free_run(machine: Machine, log: Log) -> float:
     """Return `FreeRun.rms` alone [m]; NaN where the log allows no free run, or the model runs away."""
     try:
-        record = MotionRecord(machine, log)
+        record = FreeRunRecord(machine, log)
     except InputError:
         return math.nan
     simulated, since, _ = _run_stretches(machine, record)
     return float(np.sqrt(np.mean((simulated - record.position)[since >= FIRST] ** 2)))
 
 
-def _run_stretches(machine: Machine, record: MotionRecord) -> tuple[Array, Index, list[ShotStart]]:
+def _run_stretches(machine: Machine, record: FreeRunRecord) -> tuple[Array, Index, list[ShotStart]]:
     """Run freely through all stretches: positions (n) [m], samples since each start (n), -1 outside, and the starts."""
     n = len(record.position)
     simulated, since = np.full(n, math.nan), np.full(n, -1)
@@ -305,14 +305,14 @@ def _run_stretches(machine: Machine, record: MotionRecord) -> tuple[Array, Index
     return simulated, since, starts
 
 
-def spread_shots(record: MotionRecord, length: int, count: int) -> list[tuple[int, int]]:
+def spread_shots(record: FreeRunRecord, length: int, count: int) -> list[tuple[int, int]]:
     """Return shots of a length [samples], at most so many, that start evenly over all places where one fits."""
     places = np.concatenate([np.arange(a, b - length + 1) for a, b in record.stretches])
     chosen = np.unique(np.linspace(0, len(places) - 1, count).round().astype(int))
     return [(int(a), int(a) + length) for a in places[chosen]]
 
 
-def _find_horizon(machine: Machine, record: MotionRecord, tolerance: float) -> MotionHorizon:
+def _find_horizon(machine: Machine, record: FreeRunRecord, tolerance: float) -> MotionHorizon:
     """Shoot over half of the longest stretch, from starts spread over the record."""
     length = max(b - a for a, b in record.stretches) // 2
     shots = spread_shots(record, length, SHOTS)

@@ -22,7 +22,7 @@ SOLVABLE: Final = 1e-10  # of the largest diagonal entry, added to all
 
 @dataclass
 class Lines:
-    """Sines along coordinates of segments, found one after the other in what a polynomial leaves of these.
+    """Sines along coordinates of segments, found one after the other in a polynomial's residual of these.
 
     Attributes:
         coordinates: instants [s] and positions [m], say, of the rows (k, width) each.
@@ -79,7 +79,7 @@ class Lines:
         return ROUGH / max(math.sqrt(float(np.median(np.mean(rough**2, axis=1)))), 1e-300)
 
     def _moved(self, line: tuple[int, float], move: float) -> tuple[int, float]:
-        """A line at another frequency, no more than half of what two are apart."""
+        """A line at another frequency, no more than half the distance of two."""
         most = 0.5 / float(np.ptp(self.coordinates[line[0]]))
         return line[0], line[1] + min(max(move, -most), most)
 

@@ -74,8 +74,8 @@ def quiet_variance(pieces: Array, colour: Colour, coordinates: tuple[Array, ...]
     """Variance of the noise in pieces (k, width) some of which hold more than a polynomial and noise.
 
     Begins with the quietest pieces and takes in all others that noise of the variance so far would make: a push, a
-    reversal that a model gets wrong, leaves its piece out, however many of them there are. What the polynomial takes
-    out of the noise is told from how neighbouring rows go together: the chain makes the force's noise slow, the
+    reversal that a model gets wrong, leaves its piece out, however many of them there are. The polynomial's share
+    of the noise is estimated from the correlation of neighbouring rows: the chain makes the force's noise slow, the
     encoder's, twice differentiated, fast.
 
     Args:
@@ -94,7 +94,7 @@ def quiet_variance(pieces: Array, colour: Colour, coordinates: tuple[Array, ...]
 
 
 def _background_share(rest: Array, colour: Colour, coordinates: tuple[Array, ...]) -> float:
-    """Share of the noise in what a polynomial leaves (k, width) that is no line."""
+    """Share of the noise in a polynomial's residual (k, width) without lines."""
     whole = least = _measure_quiet(rest, colour)
     lines, left = Lines(coordinates, colour.basis), rest
     while (found := lines.add_line(rest, left)) is not None:
@@ -104,7 +104,7 @@ def _background_share(rest: Array, colour: Colour, coordinates: tuple[Array, ...
 
 
 def _measure_quiet(rest: Array, colour: Colour) -> float:
-    """Variance of the noise in the pieces of what a polynomial leaves (k, width) that noise alone would make."""
+    """Variance of the noise in the pieces of a polynomial's residual (k, width) that noise alone would make."""
     power = np.mean(rest**2, axis=1)
     likely, quietest = chdtri(colour.freedom, 1.0 - np.array([LIKELY, QUIETEST])).tolist()
     most = likely / colour.freedom

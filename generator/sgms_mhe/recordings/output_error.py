@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.recordings.free_run import FIRST, MotionRecord, ShotStart
+from sgms_mhe.recordings.free_run import FIRST, FreeRunRecord, ShotStart
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
@@ -92,12 +92,12 @@ def list_sizes(machine: Machine) -> dict[str, float]:
     return sizes
 
 
-class _Score:
+class _NormedResiduals:
     """Residuals of a machine's numbers in both norms along its records."""
 
     def __init__(self, machine: Machine, logs: Sequence[Log], fixed: Collection[str]) -> None:
         self.machine = machine
-        self.records = [MotionRecord(machine, log) for log in logs]
+        self.records = [FreeRunRecord(machine, log) for log in logs]
         sizes = {name: unit for name, unit in list_sizes(machine).items() if name not in fixed}
         self.names, self.unit = list(sizes), np.array(list(sizes.values()))
         axis = self.records[0].axis(machine)
@@ -167,7 +167,7 @@ def refit_motion(machine: Machine, logs: Sequence[Log], objective: Objective, fi
     Raises:
         InputError: a log that no free run can take.
     """
-    score = _Score(machine, logs, fixed)
+    score = _NormedResiduals(machine, logs, fixed)
     whole, nominal = score.cut(1), np.zeros(len(score.names))
 
     def error(x: Array) -> float:
@@ -187,7 +187,7 @@ def refit_motion(machine: Machine, logs: Sequence[Log], objective: Objective, fi
     return Refit(score.numbers(x), deviations, (error(x), error(nominal)), (_rms(score.force(x, whole)), force))
 
 
-def _fit(score: _Score, cut: list[Shots], x: Array, force: float) -> tuple[Array, Array]:
+def _fit(score: _NormedResiduals, cut: list[Shots], x: Array, force: float) -> tuple[Array, Array]:
     """Return coordinates of the least squares along shots, and their deviations by the spread between shots.
 
     `force`: RMS [N] that the force's error counts over; 0: it does not count. Starts are those of the numbers before.

@@ -1,4 +1,4 @@
-"""The way of an axis, from readings of its encoder: what elements ran along, between the samples too."""
+"""The way of an axis, from readings of its encoder: the trajectory of elements, between the samples too."""
 
 from typing import Final
 
@@ -67,8 +67,8 @@ def smooth_blocks(position: Array, noise: float, course: Array | None = None) ->
 
     `smooth_path` has one weight, that of the fastest part of a record: where the axis creeps it goes down every step of
     the encoder. To elements that is a reversal at each line, which the axis itself need not make. A trajectory that an
-    encoder is to read once more has to be free of what it left at the first time; but no better as an estimate, as
-    what is finer than a step is lost where the axis makes it too. Arguments as of `smooth_path`.
+    encoder is to read once more has to be free of the first time's errors; but no better as an estimate, as
+    detail finer than a step is lost where the axis makes it too. Arguments as of `smooth_path`.
     """
     if noise == 0.0 or len(position) <= BLOCK:
         return position
@@ -152,7 +152,7 @@ def misread_paths(
 def thin_path(way: Array) -> tuple[Array, Array]:
     """Return a way (n) [m] as a cubic spline through its even samples has it, and through its odd ones (n) each.
 
-    Between samples an axis that breaks away or turns round is no spline: what halving them changes is about as much as
+    Between samples an axis that breaks away or turns round is no spline: the change by halving them is about as much as
     they lack themselves.
     """
     at = np.arange(len(way))

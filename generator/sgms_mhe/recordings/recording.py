@@ -95,7 +95,7 @@ class Recording:
     Attributes:
         machine: whose chain it went through.
         signals: at the log's rate (n).
-        clock: the model's time (n) [s], from the log's first sample to what the signals tell of; a piece of a record
+        clock: the model's time (n) [s], from the log's first sample to the instant of the signals; a piece of a record
             keeps that of the record.
         factor: samples of the log per row.
         time, position, velocity, acceleration, force, friction: means over `factor` samples (m).
@@ -103,14 +103,14 @@ class Recording:
         block: block of each row (m), 0 to blocks - 1; -1 where unused. Blocks are the independent units of all tests.
         fold: cross-validation fold of each block (blocks).
         held_out: blocks that the fit behind the reported gain does not see (blocks).
-        warnings: what a user should know about the record.
-        noise: what an encoder of these steps adds to position, velocity and acceleration (n, 3), its lines being
+        warnings: to the user about the record.
+        noise: of an encoder of these steps in position, velocity and acceleration (n, 3), its lines being
             elsewhere; None where its steps do not show, and where nobody asked (`add_encoder`).
         unfiltered: position, velocity, acceleration and force before the chain (n, 4), the position between the
             encoder's steps; None where speeds do not come from it, and where nobody asked (`add_encoder`).
         misread: its velocity along a trajectory without the encoder's steps, and along those that encoders make of it
             (`misread_paths`) (n, 1 + ENCODERS); None as `noise`.
-        acceleration_noise: variance of what the encoder adds to an acceleration [m^2/s^4]; 0 where nobody asked.
+        acceleration_noise: variance of the encoder's noise in an acceleration [m^2/s^4]; 0 where not computed.
         has_own_speeds: whether its log brings a velocity or an acceleration, which then do not come from its position.
         is_filtered: whether friction has passed the chain's low-passes; not that of a log that brings velocity as well.
         is_smeared: whether the chain's low-passes change friction more than the noise hides: its force then passes
@@ -324,7 +324,7 @@ def filter_position(machine: Machine, position: Array) -> Array:
 
 
 def _find_usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[str, ...]]:
-    """Samples that a model can be compared with (n), and what a user should know of the others."""
+    """Samples that a model can be compared with (n), and warnings on the others."""
     warnings: list[str] = []
     good = signals.valid.copy()
     settle, n, units = settle_samples(machine), len(signals), machine.plant.units

@@ -1,4 +1,4 @@
-"""Series of samples: means and sums over them, and what they are a while later or earlier."""
+"""Series of samples: means and sums over them, and shifts of them in time."""
 
 import math
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ def bin_sums(series: Array, weight: Array, index: Index, count: int) -> Array:
 class Shift:
     """A delay of all samples: each is made of four, and beyond the ends the last one goes on (Lagrange).
 
-    Lines would lose half of what is near half the rate, which looks like a resonance.
+    Lines would lose half of a signal near half the rate, which looks like a resonance.
 
     Attributes:
         first: the first of the four, from the sample on.
@@ -56,7 +56,7 @@ class Shift:
 
     @classmethod
     def of(cls, delay: float, rate: float) -> Self:
-        """By a delay [s], below zero to what is earlier, of samples at a rate [Hz]."""
+        """By a delay [s], below zero to earlier ones, of samples at a rate [Hz]."""
         back = -delay * rate
         whole = math.floor(back)
         u = back - whole  # the place between the second and the third

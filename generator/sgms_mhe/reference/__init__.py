@@ -1,4 +1,4 @@
-"""Reference solvers: what the generated C is judged by, written from docs/ and not from the C."""
+"""Reference solvers: judges of the generated C, written from docs/ and not from the C."""
 
 from typing import Literal
 

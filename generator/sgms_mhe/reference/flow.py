@@ -205,7 +205,7 @@ class Flow:
 
 
 def relaxation(x: float) -> tuple[float, float]:
-    """(phi(x), phi'(x)), what a sliding element makes of a level that is a line over displacement, for x = k xi >= 0.
+    """(phi(x), phi'(x)), answer of a sliding element to a level that is a line over displacement, for x = k xi >= 0.
 
     phi = 1 + e^-x - 2 (1 - e^-x)/x cancels to x^2/6 near 0; its series is sum_n (n - 1)/(n + 1)! (-x)^n, n >= 2.
     """

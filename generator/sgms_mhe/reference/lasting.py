@@ -60,8 +60,8 @@ class InnovationColour:
 class ParameterWander:
     """Squared move of each parameter over a block of updates, over the variance that the block takes from it.
 
-    An estimate that knows its variance moves, from one block's end to the next, with the variance before, and what
-    drift adds, less that after. Blocks count with that share of the variance: what was unknown moves much at once.
+    An estimate that knows its variance moves, from one block's end to the next, with the variance before, and the
+    drift's, less that after. Blocks count with that share of the variance: an unknown number moves much at once.
 
     Args:
         drift: random walk of theta per update (n_p), 1 sigma.

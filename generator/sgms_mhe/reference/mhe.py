@@ -209,7 +209,7 @@ def take_newest(
 ) -> Taken | None:
     """Measurements of the newest interval, each predicted from all before it; None where that is not finite.
 
-    What they are to count goes to `scales`.
+    Their weights go to `scales`.
     """
     n_x, n_p = record.model.n_x, record.model.n_p
     J, r = dense_problem(record, window.before_newest, arrival, scales)

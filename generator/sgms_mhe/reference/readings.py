@@ -20,7 +20,7 @@ DOUBTED_FAST, DOUBTED_SLOW = 5.0, 2.0
 
 
 class Gaussian(NamedTuple):
-    """Mean (n,) and covariance (n, n) of what is estimated."""
+    """Mean (n,) and covariance (n, n) of the estimated numbers."""
 
     mean: Array
     covariance: Array

@@ -1,4 +1,4 @@
-"""Shooting intervals side by side about one point: what an update linearises, and the measurements of one of them."""
+"""Shooting intervals side by side about one point: those linearised by an update, and the measurements of one."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def page(
 
 
 def _number_rows(d: Diagnosis) -> list[dict[str, str]]:
-    """Return a row per number of the machine file, what the record refutes first."""
+    """Return a row per number of the machine file, refuted ones first."""
     return [
         {
             "words": split_name(s.about)[0] if s.rule is Rule.REFUTED else base_words(s.about),

@@ -18,7 +18,7 @@ MOST_BAND: Final = 1.5
 
 @dataclass(frozen=True)
 class Mark:
-    """A number at a place: its standard deviation, the band it is compared with, whether it left it, what it says.
+    """A number at a place: its standard deviation, the band it is compared with, whether it left it, its label.
 
     `label` is written beside it where it left its band.
     """
@@ -44,7 +44,7 @@ def drawn(
 
     Args:
         marks: from left to right.
-        ends: what stands below the first and the last.
+        ends: labels below the first and the last.
         nominal: drawn as a dashed line where it is near; NaN: none.
         written: a value of the vertical axis in words.
         line: class of the line that connects the numbers; empty: none.

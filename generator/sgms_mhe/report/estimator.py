@@ -1,4 +1,4 @@
-"""The loop closed: what the extended model gains the estimator that is generated from it."""
+"""The loop closed: gain of the estimator generated from the extended model."""
 
 import math
 from dataclasses import dataclass
@@ -34,9 +34,9 @@ class EstimatorRun:
     """An estimator on a log.
 
     Attributes:
-        predicted_rms_N: RMS of measured friction minus what the estimator puts out at every sample (`compensation_N`).
+        predicted_rms_N: RMS of measured friction minus the estimator's output at every sample (`compensation_N`).
             That is the model from the newest estimate along the motion; the force measured since has not been used. It
-            is what friction compensation leaves, and a wrong model cannot hide in it.
+            is the residual of friction compensation, and a wrong model cannot hide in it.
         filtered_rms_N: RMS of measured friction minus the estimate at the updates, which has used that measurement:
             small wherever the estimator trusts the measurement, whatever its model. Worth less.
         parameters: of the estimates.

@@ -1,4 +1,4 @@
-"""The page over a fleet: what failed, which axis left its band, every number of every axis over its logs."""
+"""The page over a fleet: failures, axes outside of their band, every number of every axis over its logs."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

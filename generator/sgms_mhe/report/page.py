@@ -79,10 +79,10 @@ def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None
 def write_fleet_report(
     verb: str, table: str, logs: Sequence[FleetLog], courses: Sequence[FleetCourse], out_dir: str | Path
 ) -> Path:
-    """Write fleet.html: what failed, what left its band, every number of every axis over its logs.
+    """Write fleet.html: failures, numbers outside of their band, every number of every axis over its logs.
 
     Args:
-        verb: what was done with every log.
+        verb: applied to every log.
         table: as its user calls it.
         logs: in the table's order.
         courses: numbers of axes over their logs.

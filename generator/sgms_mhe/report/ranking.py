@@ -1,4 +1,4 @@
-"""Candidates in the order of what they explain, round by round."""
+"""Candidates in the order of their explained share, step by step."""
 
 import math
 from collections.abc import Collection, Sequence
@@ -29,7 +29,7 @@ def explained_force(score: Score) -> float:
 
 
 def score_rows(scores: Sequence[Score], as_good: Collection[str]) -> list[dict[str, Any]]:
-    """Rows of a table of candidates; `as_good`: names of those that fit as well as what is named."""
+    """Rows of a table of candidates; `as_good`: names of those that fit as well as the named ones."""
     most = max((explained_force(s) for s in scores), default=0.0)
     return [
         {

@@ -23,7 +23,7 @@ class InPlace:
         number: among the rivals, from 1.
         fit: of the rival.
         cause: whose place it takes.
-        views: what is left with the cause (`before`) and with the rival (`after`).
+        views: residual with the cause (`before`) and with the rival (`after`).
     """
 
     number: int
@@ -47,7 +47,7 @@ class InPlace:
 
 
 def rivals_in_place(d: Diagnosis) -> tuple[InPlace, ...]:
-    """Every rival with what it leaves, beside what its cause leaves."""
+    """Every rival with its residual, beside that of its cause."""
     causes = {cause.name: cause for cause in reversed(d.causes)}
     t = d.traces
     found: list[InPlace] = []

@@ -130,7 +130,7 @@ def _spectrum(traces: Traces) -> View:
 
 
 def pack(values: Array) -> dict[str, Any]:
-    """An array as 16-bit integers in base64: value = offset + scale * integer; what is not finite is missing."""
+    """An array as 16-bit integers in base64: value = offset + scale * integer; a non-finite value is missing."""
     finite = np.isfinite(values)
     low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)
     offset, scale = 0.5 * (low + high), (high - low) / (2.0 * LARGEST) or 1.0

@@ -80,7 +80,7 @@ def _page(columns: Columns, style: str, name: str, about: About, machine: Machin
 
 
 def _split_move(move: str) -> dict[str, str]:
-    """Return what would decide a question as a motion to record, or as a command."""
+    """Return the next step on a question: a motion to record, or a command."""
     if move.startswith("sgms-mhe"):
         return {"move": "", "command": move}
     return {"move": move and f"Record {re.sub(r' .sgms-mhe plan[^)]*.', '', move)}.", "command": ""}

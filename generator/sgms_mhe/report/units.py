@@ -33,7 +33,7 @@ SPACE: Final = "\N{NO-BREAK SPACE}"
 
 @contextmanager
 def use_units(units: Units) -> Iterator[None]:
-    """Write what follows in the units of one kind of axis."""
+    """Write the following text in the units of one kind of axis."""
     token = _axis.set(units)
     try:
         yield

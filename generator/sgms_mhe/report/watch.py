@@ -32,7 +32,7 @@ class Watched:
     """A run as its page shows it.
 
     Attributes:
-        course: what the updates have come to; one at the least.
+        course: summary of the updates; one at the least.
         source: the log, as its user calls it.
         ended: why it ended; empty while it goes on.
         remarks: sentences on the log.
@@ -154,7 +154,7 @@ def _spread(rows: Array) -> Array:
 
 
 def _badge(watched: Watched, status: int) -> dict[str, str]:
-    """Of a run that goes on the newest status, else what was seen: green only where nothing is to be minded."""
+    """Of a run that goes on the newest status, else the gravest one: green only where nothing is to be minded."""
     name = f"live: {flags_of(status)[0]}"
     style = "failed" if status < 0 else "undecided" if set(flags_of(status)) & set(_OPEN) else "certain"
     if watched.ended:

@@ -1,4 +1,4 @@
-"""A report's words: what a cause is called, sizes and changes, lists and sentences."""
+"""A report's words: names of causes, sizes and changes, lists and sentences."""
 
 import math
 from collections.abc import Sequence

@@ -44,7 +44,7 @@ class Signals:
 
     time of the sample [s], position [m], velocity [m/s], acceleration [m/s^2], force [N], friction [N]; `valid`:
     friction may be used as a measurement; `missing`: a recorded channel had no finite value. `delay`: how far they are
-    behind the sample [s]; what they tell of was at time - delay. `noise`: factor on friction's stated deviation, >= 1.
+    behind the sample [s]; they describe the instant time - delay. `noise`: factor on friction's stated deviation, >= 1.
     """
 
     time: Array
@@ -75,9 +75,9 @@ class Signals:
 def signal_array(signals: Signals, h: float, first: int = 0, mean: int = 0) -> Array:
     """Signals w = (position, velocity, acceleration, force, time) of every sample (n, 5).
 
-    Time counts from a log's sample 0, the first one here being its sample `first`, and is that of what the signals tell
-    of. With `mean` a sixth column is the mean acceleration over so many samples; the first velocity here has been there
-    before.
+    Time counts from a log's sample 0, the first one here being its sample `first`, and is that of the instant the
+    signals describe. With `mean` a sixth column is the mean acceleration over so many samples; the first velocity here
+    has been there before.
     """
     time = np.arange(first, first + len(signals)) * h - signals.delay
     columns = [signals.position, signals.velocity, signals.acceleration, signals.force, time]
@@ -102,9 +102,9 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
 
 
 class Chain:
-    """The chain along a log, whole or in pieces: what comes out is the same to the last bit.
+    """The chain along a log, whole or in pieces: the output is the same to the last bit.
 
-    But for measurements that are missing at the very start: until the first one comes, what it is counts as having been
+    But for measurements that are missing at the very start: until the first one comes, its value counts as having been
     there before, and it has to be in the first piece.
 
     Args:
@@ -197,8 +197,8 @@ class Chain:
 def signals_of_record(log: Log, machine: Machine) -> Signals:
     """Send a whole record through the chain, its gaps bridged from both sides.
 
-    A controller meets a gap without knowing what comes after it, and the step back to the measurement leaves a
-    transient as large as what it missed. A record is known to its end: position goes through a gap with the speeds on
+    A controller meets a gap without knowing the samples after it, and the step back to the measurement leaves a
+    transient as large as the missed move. A record is known to its end: position goes through a gap with the speeds on
     both sides of it, everything else in a line. Friction stays invalid in a gap, and behind the filters twice as long
     after it as they settle.
     """
@@ -268,7 +268,7 @@ def find_lost(log: Log) -> dict[str, Mask]:
 
 
 def _drop_far(log: Log) -> Log:
-    """The log with NaN for what is not finite, or too large for the chain."""
+    """The log with NaN for values not finite, or too large for the chain."""
     spoilt: dict[str, Any] = {}
     for name, channel in _channels(log).items():
         limit = FARTHEST_m if name == "position_m" else LARGEST_SIGNAL
@@ -399,7 +399,7 @@ class Bridge:
         """Return (5, n): position at k, that before as the chain sees it, their difference, force, friction's error.
 
         Position before and difference are stated apart because after a gap of more than `settle` samples the earlier
-        position is replaced by the new one: what was travelled unseen does not appear as a velocity. The error is
+        position is replaced by the new one: the unseen travel does not appear as a velocity. The error is
         over the stated noise.
         """
         missing = np.flatnonzero(~(np.isfinite(position) & np.isfinite(force)))

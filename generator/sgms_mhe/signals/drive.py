@@ -15,7 +15,7 @@ def command_of(log: Log, machine: Machine) -> Array | None:
     """Return the command (n) that a machine's drive takes, [m] or [V], held where it is missing; None: the force is it.
 
     Raises:
-        InputError: no force was recorded, and nothing says what the command does.
+        InputError: no force was recorded, and nothing describes the command.
     """
     drive, units = machine.drive, log.units
     name = next((name for name in drive.columns if getattr(log, name) is not None), None)
@@ -37,10 +37,10 @@ def find_force(log: Log, machine: Machine) -> Log:
     """Return a commanded log with the force that the machine's drive made, as its package's `drive_force()` finds it.
 
     The back-EMF goes by the difference of positions, extrapolated by half a sample; commands are held, and late by
-    whole samples. What a drive that is off makes is 0. A log with a force is returned as it is.
+    whole samples. The force of a drive that is off is 0. A log with a force is returned as it is.
 
     Raises:
-        InputError: nothing says what the command does.
+        InputError: nothing describes the command.
     """
     command, drive = command_of(log, machine), machine.drive
     if command is None or not np.isnan(log.force_N).all():

@@ -1,4 +1,4 @@
-"""Estimates: what an observer, of whatever kind, says at every update; and their file."""
+"""Estimates of an observer of any kind at every update, and their file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,8 +27,8 @@ class Estimates(Shown):
     measurement innovation_N, test_ratio (its square over the variance predicted for it), noise_scale (u,), NaN where an
     observer does not predict measurements;
     parameter_names (n_p): `stiffness_1`, ..., `coulomb`. Of a rotary axis angles and torques stand where this says m
-    and N; `kind` says which it is, and a file's columns are named so. `extra` holds what a solver wants to hand on
-    besides (arrays by name); it is not written.
+    and N; `kind` says which it is, and a file's columns are named so. `extra` holds other results of a solver
+    (arrays by name); it is not written.
     """
 
     time_s: Array

@@ -43,7 +43,7 @@ def integrate_innovations(innovation: Array, variance: Array, updates: int) -> t
     """Errors of a motion that the model predicts from where it was so many updates before, and their variances.
 
     The sum over the innovations since, each by the updates that it has moved the axis: the second integral, over
-    period^2 / mass. Independent innovations have the variance; what goes on alike makes the error larger than that.
+    period^2 / mass. Independent innovations have the variance; correlated ones make the error larger.
     """
     weights = np.arange(1.0, updates + 1.0)
     return np.convolve(innovation, weights, "valid"), np.convolve(variance, weights**2, "valid")

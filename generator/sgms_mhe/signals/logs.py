@@ -27,10 +27,10 @@ class Log(Shown):
     """A log in SI units; all arrays (n,), NaN where a sample is missing (never in time_s).
 
     Of a rotary axis `position_m` is its angle [rad], `force_N` the torque [N m], and so on: `kind` says which it is.
-    `rate` [Hz] is measured from time_s. The optional columns are used in place of what would be computed. `payload`:
-    whether it moves a mass of its own beside the axis, as `[log] payload` says. `force_keys`: what a line
-    of `[log]` has to say for the force that was read. `run`: what a
-    run states of itself: mass [kg] of the weight on its arm, whose length [m] hangs down at 0, gain and supply [V] of
+    `rate` [Hz] is measured from time_s. The optional columns are used in place of computed signals. `payload`:
+    whether it moves a mass of its own beside the axis, as `[log] payload` says. `force_keys`: keys a line
+    of `[log]` needs for the force that was read. `run`: by the
+    run itself: mass [kg] of the weight on its arm, whose length [m] hangs down at 0, gain and supply [V] of
     its drive. Without a force (NaN throughout) a command drives the axis.
     """
 
@@ -68,12 +68,12 @@ class Log(Shown):
 
     @property
     def is_friction_alone(self) -> bool:
-        """Return True if a recorded friction stands for the force: what moves the axis is unknown."""
+        """Return True if a recorded friction stands for the force: the driving force is unknown."""
         return self.friction_N is not None and np.array_equal(self.force_N, self.friction_N, equal_nan=True)
 
     @property
     def is_commanded(self) -> bool:
-        """Return True if no force was recorded but a command: it is what drives the axis."""
+        """Return True if no force was recorded but a command: it drives the axis."""
         has_command = any(values is not None for values in (self.goal_m, self.voltage_V, self.duty))
         return has_command and bool(np.isnan(self.force_N).all())
 
@@ -123,7 +123,7 @@ def align_velocity(log: Log) -> Log:
     """Return a whole record with its velocity over the sample before each instant, as a difference of the position is.
 
     Some loggers write that, others the velocity at the instant itself, which is half a sample ahead of it: acceleration
-    is then as much ahead of the force. What agrees better with the position's differences decides.
+    is then as much ahead of the force. The better agreement with the position's differences decides.
     """
     velocity = log.velocity_m_s
     if velocity is None:

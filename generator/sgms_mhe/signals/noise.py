@@ -68,7 +68,7 @@ def noise_course(series: NDArray[np.float64]) -> NDArray[np.float64]:
 def find_jumps(series: NDArray[np.float64], longest: int) -> NDArray[np.bool_]:
     """Mark samples of a series (n), `longest` in a row at most, that jump away and come back.
 
-    Either edge is JUMP times what the samples beside it change, and what a sample usually changes. Missing samples are
+    Either edge is JUMP times the change of the samples beside it, and a sample's usual change. Missing samples are
     NaN.
     """
     jumped = np.zeros(len(series), dtype=np.bool_)

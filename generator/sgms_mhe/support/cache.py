@@ -1,9 +1,9 @@
 """Files kept between runs, in a folder of the user's own: found as they were written, or not at all.
 
-What is kept here is loaded into the process and run. So the folder belongs to the user alone, nothing in it is reached
-through a link, every file has the digest of its content in its name, and what does not match it is thrown away and made
-again. Files appear whole: processes may look for one and keep the same one at the same time. There are never many more
-than `MOST` of them: those that were not asked for longest go first.
+Files cached here are loaded into the process and run. So the folder belongs to the user alone, nothing in it is reached
+through a link, every file has the digest of its content in its name, and a file that does not match it is thrown away
+and made again. Files appear whole: processes may look for one and keep the same one at the same time. There are never
+many more than `MOST` of them: those that were not asked for longest go first.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ _listed: Final[dict[Path, dict[str, list[str]]]] = {}
 
 
 def cache_dir() -> Path:
-    """Folder of what is kept: where the system has caches; on Linux $XDG_CACHE_HOME/sgms-mhe or ~/.cache/sgms-mhe.
+    """Folder of cached files: where the system has caches; on Linux $XDG_CACHE_HOME/sgms-mhe or ~/.cache/sgms-mhe.
 
     Raises:
         BuildError: the user has no home.
@@ -170,7 +170,7 @@ class _Folder:
             return stream.read() if own and stat.S_ISREG(status.st_mode) else None
 
     def remove(self, name: str) -> None:
-        """Take away what is not what its name says. What cannot be removed stays, and is not used."""
+        """Remove files whose content contradicts their name. One that cannot be removed stays unused."""
         with suppress(OSError):
             os.unlink(name, dir_fd=self._descriptor)
 

@@ -1,4 +1,4 @@
-"""A process that works on tasks of another: what `support/processes.py` starts, `python -m sgms_mhe.support.child`.
+"""A process that works on tasks of another: started by `support/processes.py`, `python -m sgms_mhe.support.child`.
 
 It takes pickled calls from a pipe and answers each. It ends when the pipe does, and when the process that started it
 is gone, whatever it works on.

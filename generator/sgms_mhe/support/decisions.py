@@ -1,6 +1,6 @@
 """Decisions of an analysis as log records, and the trace that keeps them.
 
-Every rule that decides something logs which rule, on what, with its numbers, under `sgms_mhe.decision.STAGE` at level
+Every rule that decides something logs the rule, its subject and its numbers, under `sgms_mhe.decision.STAGE` at level
 DEBUG. So a library user follows them with `logging`, and `--trace` writes the same records to files.
 """
 

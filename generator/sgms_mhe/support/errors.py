@@ -28,7 +28,7 @@ def speak_to_command_line() -> Iterator[None]:
 
 
 def _name_arguments(text: str) -> str:
-    """Return what is allowed with the argument `table` of `read_log` in place of a file's table [log] and of options.
+    """Return the allowed values with `read_log`'s argument `table` in place of a file's table [log] and of options.
 
     `[log] (machine file, --log) has resample = true` becomes `read_log's table={"resample": True}`, and `--follow`
     becomes `follow`; a whole command stays.
@@ -45,7 +45,7 @@ def _name_arguments(text: str) -> str:
 
 
 class InputError(Exception):
-    """Bad input: names the file, the key or row, the value found and what is allowed.
+    """Bad input: names the file, the key or row, the value found and the allowed ones.
 
     The command line prints the message and exits with code 2.
 
@@ -83,7 +83,7 @@ class InputError(Exception):
 
 
 class ImplausibleError(InputError):
-    """Columns of a log that cannot be what they are called: of another sign, scale or unit."""
+    """Columns of a log that contradict their names: of another sign, scale or unit."""
 
 
 def _shorten(text: str) -> str:
@@ -91,11 +91,11 @@ def _shorten(text: str) -> str:
 
 
 class LogWarning(UserWarning):
-    """Sentence on how a log was read: on what was left out, changed or assumed."""
+    """Sentence on how a log was read: on omitted, changed or assumed data."""
 
 
 class MachineWarning(UserWarning):
-    """Sentence on a machine file that is read as it stands, but may not be what it was written to be."""
+    """Sentence on a machine file that is read as it stands, but may be outdated."""
 
 
 class BuildError(Exception):

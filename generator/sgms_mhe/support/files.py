@@ -14,7 +14,7 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     """Write a file that takes its place only when the block ends without an exception.
 
     A temporary file in the same folder receives the bytes and is renamed over the target; an interrupt leaves the
-    target as it was and no temporary file. What is no regular file (a pipe, /dev/stdout) is written directly. Raises
+    target as it was and no temporary file. Other targets (a pipe, /dev/stdout) are written directly. Raises
     InputError where the folder cannot be written to.
     """
     target = Path(path)

@@ -1,7 +1,7 @@
 """Results of tasks in a folder, each kept as soon as it is there: a run that was stopped goes on where it was.
 
 A result is a few files in a folder of the task's key. It appears whole or not at all. A key says all that its result
-hangs on, so what is found under it need not be computed again.
+hangs on, so a result found under it need not be computed again.
 """
 
 import os
@@ -27,7 +27,7 @@ def run_kept(tasks: Sequence[Task], folder: Path, place: WorkerSlot) -> Iterator
         place: where those run that are not there yet.
 
     Yields:
-        Outcomes whose value is the result's folder. What failed is not kept: the next run tries it again.
+        Outcomes whose value is the result's folder. Failures are not cached: the next run tries it again.
 
     Raises:
         InputError: the folder cannot be written to; as run_tasks does.

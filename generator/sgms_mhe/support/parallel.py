@@ -22,7 +22,7 @@ VARIABLE: Final = "SGMS_MHE_WORKERS"
 
 
 def workers() -> int:
-    """How many pieces are worked on at a time: what SGMS_MHE_WORKERS states, or the cores that this process may use.
+    """How many pieces are worked on at a time: SGMS_MHE_WORKERS, or the cores that this process may use.
 
     Raises:
         InputError: it states no positive number.
@@ -49,7 +49,7 @@ def one_library_thread() -> Iterator[None]:
 def run_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Results of tasks that do not depend on each other, in their order.
 
-    What a task starts in its turn is shared out likewise, among the cores that are free, or get free before all of it
+    Tasks started by a task are shared out likewise, among the cores that are free, or get free before all of it
     has begun. Of several errors the first task's is raised, once all that were begun are done.
     """
     if min(workers(), len(tasks)) < 2:
@@ -124,7 +124,7 @@ class _Batch(Generic[T]):
 
 
 class _Cores:
-    """How many pieces are at work beside the one that asked first, and what waits for a core."""
+    """How many pieces are at work beside the one that asked first, and those that wait for a core."""
 
     def __init__(self) -> None:
         self._guard = threading.Lock()

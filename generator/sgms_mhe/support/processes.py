@@ -1,9 +1,9 @@
 """Tasks in processes of their own: on this host, or on the workers of a Dask cluster.
 
 One way for fleets, benchmarks and studies. Every task runs in a child process that works on nothing else meanwhile. So
-a crash is the task's own and is put down to it, time that runs out ends that task alone, and what is compiled and
+a crash is the task's own and is put down to it, time that runs out ends that task alone, and code compiled and
 loaded for one task is not shared with those beside it. A child works on many tasks, one after the other; it is
-replaced before what stays loaded adds up.
+replaced before loaded libraries add up.
 """
 
 import os
@@ -42,7 +42,7 @@ class Task:
     """A call that depends on no other: a function of a module, or a partial of one, and its arguments.
 
     Attributes:
-        key: what it is known by; no two tasks of a run have the same.
+        key: its name; no two tasks of a run have the same.
     """
 
     key: str
@@ -237,7 +237,7 @@ class Crew:
         return Outcome(task, None, f"the process that worked on it {how}, {ATTEMPTS} times")
 
     def close(self) -> None:
-        """End all children, with what they work on."""
+        """End all workers, with their tasks."""
         with self._lock:
             self._closed = True
             children = tuple(self._all)
@@ -263,7 +263,7 @@ class Crew:
 
 
 def _environment(at_a_time: int) -> dict[str, str]:
-    """Of a child: it finds what this process finds, and leaves the other cores to the other children."""
+    """Of a child: it has this process's environment, and leaves the other cores to the other children."""
     stated = os.environ.get(VARIABLE) or str(max(1, workers() // at_a_time))
     paths = os.pathsep.join(path for path in sys.path if path)
     return {**dict.fromkeys(_LIBRARIES, "1"), **os.environ, VARIABLE: stated, "PYTHONPATH": paths}

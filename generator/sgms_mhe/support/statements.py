@@ -68,11 +68,7 @@ class Rule(Enum):
     SEEN = "error", "yes", "{about}, unseen data: " + _SHARES + "; Coulomb and viscous friction {plain:.3g} %"
     WRITTEN = "error", "yes", "{about}, as the files have it: " + _SHARES
     FREE_RUN = "error", "yes", "{about}, free run of the files: {before:.3g} {unit} rms before, {value:.3g} after"
-    PREDICTION = (
-        "error",
-        "yes",
-        "estimator on {about}: {before_N:.3g} to {value:.3g} {unit} rms, {percent:.0f} % less",
-    )
+    PREDICTION = "error", "yes", "estimator on {about}: {before_N:.3g} to {value:.3g} {unit} rms, {percent:.0f} % less"
     FITTED = "error", "yes", "held-out residual {value:.3g} {unit} rms of {friction_N:.3g}, noise floor {floor_N:.3g}"
     RAN = "error", "yes", "{about} leave {value:.3g} {unit} on average over {count:.0f} runs, at most {most:.3g}"
     # numbers

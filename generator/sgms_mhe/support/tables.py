@@ -10,7 +10,7 @@ class CsvTable:
     """Rows of named values under a title.
 
     Attributes:
-        title: what it shows, one line.
+        title: one line.
         formats: format specification of each column, in the order of the columns; "" for text.
         rows: one mapping per row; a column that a row lacks stays empty.
         notes: lines below it.

@@ -42,7 +42,7 @@ WARNING_FLAGS = (
 
 
 def compiler() -> tuple[str, ...]:
-    """The C compiler's command: $CC with its arguments, what PATH has of gcc, clang and cc, or the one of `ziglang`.
+    """The C compiler's command: $CC with its arguments, gcc, clang or cc from PATH, or the one of `ziglang`.
 
     Raises:
         BuildError: $CC is no command line, or there is no compiler.

@@ -1,4 +1,4 @@
-"""A fleet from its table to its results: what is there already is taken, the rest is done, failures are listed."""
+"""A fleet from its table to its results: existing results are taken, missing ones computed, failures listed."""
 
 import hashlib
 import json

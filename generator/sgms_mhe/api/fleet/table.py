@@ -23,10 +23,10 @@ class Row:
         number: of its line in the file, 2 is the first below the header.
         machine: a machine file, or the name of one in `machines/`; empty: none, which `identify` takes.
         log: file.
-        name: what it is called; the log's stem where the table does not say.
+        name: of the row; by default the log's stem.
         axis: the axis that left the log; the name where the table does not say: then it is an axis of its own.
         date: when the log was taken; None: the order is not known.
-        mass: what moves [kg], or its inertia [kg m^2]; None: as the motion shows. For `identify`.
+        mass: moving mass [kg], or inertia [kg m^2]; None: as the motion shows. For `identify`.
     """
 
     number: int
@@ -51,7 +51,7 @@ def read_table(path: Path, verb: Verb) -> tuple[Row, ...]:
     """Read a fleet's table. Commas, semicolons or tabs; paths are relative to the table.
 
     Raises:
-        InputError: names the row (of the file) and the column, the value and what is allowed.
+        InputError: names the row (of the file) and the column, the value and the allowed ones.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

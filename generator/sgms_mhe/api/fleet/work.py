@@ -82,7 +82,7 @@ def work(verb: Verb, row: Row, machine: Machine | None, table: Mapping[str, Any]
         table: content of a table `[log]` that is laid over the machine's.
 
     Raises:
-        InputError: what that command would refuse.
+        InputError: bad input of that command.
     """
     notes: list[str] = []
     with TemporaryDirectory() as scratch:

@@ -15,7 +15,7 @@ from sgms_mhe.support.arrays import Array
 def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     """Real force = logged force behind a first-order lag, so the log is ahead by (logged - lagged).
 
-    Time constants below a quarter sample are lengthened to what the integrator follows, and the difference is scaled
+    Time constants below a quarter sample are lengthened to one the integrator follows, and the difference is scaled
     down instead: right to first order, and no effect at zero.
     """
     lag = no_shorter(axis, p["time_constant_s"])

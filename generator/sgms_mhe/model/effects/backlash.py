@@ -1,4 +1,4 @@
-"""A gap between the mass and what rubs: a coupling, a carrier of the guide's cover."""
+"""A gap between the mass and the rubbing part: a coupling, a carrier of the guide's cover."""
 
 import math
 
@@ -47,7 +47,7 @@ def _gaps(motion: MotionRecord) -> list[Values]:
 
 
 def _gap_moves(moved: Array, push: Array, values: Values) -> Array:
-    """The mass's moves without what crosses the gap (n) [m]; the gap opens where it turns from elements at rest."""
+    """The mass's moves without moves that cross the gap (n) [m]; the gap opens where it turns from elements at rest."""
     gap = values["gap_m"]
     engaged = np.empty(len(moved))
     side, left = 1, 0.0  # way left to the side that the mass moves towards

@@ -35,13 +35,13 @@ class BaseNumber:
 
     Attributes:
         name: as in `[estimator] parameters`.
-        words: what a person calls it.
+        words: its name for people.
         suffix: its unit at the end of its name in reports (`_N` of `coulomb_N`, `_N_m` of `stiffness_1_N_m`).
         array: whether each element has one (`stiffness_1`, `stiffness_2`, ...).
-        shares: whether they sum to 1, so that the largest is what the others leave and no number of its own.
-        lower, upper: limits of a fit, over the nominal value: what is positive stays so, and nothing else.
+        shares: whether they sum to 1, so that the largest is the rest of the others and no number of its own.
+        lower, upper: limits of a fit, over the nominal value: a positive one stays so, and nothing else.
         typical: size, in `unit`s of the machine, that a fit counts in where the machine file says 0; None: it may not.
-        most: what a record can tell of it [SI]. The machine file's own value stays allowed.
+        most: limit of its identifiability [SI]. The machine file's own value stays allowed.
     """
 
     name: str

@@ -87,7 +87,7 @@ def _offers() -> Mapping[str, tuple[_Offer, ...]]:
 
 @cache
 def _outcome(name: str) -> EffectDefinition | InputError:
-    """The effect that is offered under a name, or what is wrong with the offer."""
+    """The effect that is offered under a name, or the error of the offer."""
     first, *others = _offers()[name]
     where = f"entry point {GROUP}.{name}"
     if name in EFFECT_NAMES or name in BASE_CAUSES:
@@ -115,7 +115,7 @@ def _outcome(name: str) -> EffectDefinition | InputError:
 
 
 def forget_distributions() -> None:
-    """Look again what is installed when an effect is next asked for."""
+    """Search installed packages again when an effect is next asked for."""
     _offers.cache_clear()
     _outcome.cache_clear()
 

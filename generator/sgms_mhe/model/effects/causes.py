@@ -45,7 +45,7 @@ class CauseDefinition(Shown):
     Attributes:
         name: as in diagnosis.json, and of an effect in the machine file.
         summary: one line for reports.
-        excitation: what a log must hold for the cause to be identified.
+        excitation: needed in a log for the cause to be identified.
         confused_with: its rivals: names of the causes that look alike, and the move that tells them apart.
         moves: parts of an experiment that show it.
         inertial: it acts where the axis accelerates. There the model's errors at break-away are mixed with it, and its

@@ -24,7 +24,7 @@ _NOTHING: Final = 1e-9  # change of a quantity of size one that rounding makes
 
 @dataclass(frozen=True)
 class DefinitionFault:
-    """One thing that is wrong with a definition: where in it, the value found, what is allowed."""
+    """One thing that is wrong with a definition: where in it, the value found, the allowed ones."""
 
     where: str
     value: object

@@ -31,7 +31,7 @@ def _always(_: Values, __: Scales) -> bool:
 
 @dataclass(frozen=True)
 class Fault:
-    """Number of a machine file that does not go with the others: its parameter, and what is allowed."""
+    """Number of a machine file that does not go with the others: its parameter, and the allowed values."""
 
     parameter: str
     allowed: str
@@ -56,7 +56,7 @@ class EffectDefinition(CauseDefinition):
         states: names of its own states; a table may have some of them, as its coordinates ask for.
         search: how a diagnosis looks for it; by its derivative in its first size unless something says more.
         loads: whether its force acts on the load, so that the drive transmits it (`SymbolicAxis.transmitted_force`).
-        linear: whether the search's columns times its sizes are all of its force: what it would gain is then known
+        linear: whether the search's columns times its sizes are all of its force: its gain is then known
             without a refit.
         repeatable: whether an axis may have two of it.
         companion: whether an identification from nothing looks for it beside friction; its search's columns need no
@@ -69,7 +69,7 @@ class EffectDefinition(CauseDefinition):
         fault: the first number of a machine file that does not go with the others, each within its own limits and the
             lists of one length.
         possible: whether an axis of these scales can have it with these parameters (by name, SI), beyond their limits:
-            what takes power from a motion has no size, within both, that drives one.
+            a force that takes power from a motion has no size, within both, that drives one.
         smooth_only: why it cannot stand where elements switch instead of going over smoothly; empty: it can.
         fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
             its states; None: 1, they settle within it. Below 1: its states are derivatives of the force, and a long

@@ -33,7 +33,7 @@ def drift_factor(axis: SymbolicAxis, p: Expressions) -> ca.SX:
 
 
 def drift_search(force: Callable[[MotionRecord], Array]) -> Columns:
-    """Search of a drift of what makes `force` (m) [N]: linear in ratio at a given time constant."""
+    """Search of a drift of the quantity behind `force` (m) [N]: linear in ratio at a given time constant."""
 
     def columns(motion: MotionRecord, given: Values) -> Array:
         settled = 1.0 - np.exp(-motion.time / given["time_constant_s"])

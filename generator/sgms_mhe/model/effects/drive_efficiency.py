@@ -14,9 +14,9 @@ _LEAST = 0.5
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
-    """T = eta u where the drive drives, T = u / eta where the load does; what is lost is friction's.
+    """T = eta u where the drive drives, T = u / eta where the load does; the loss is friction's.
 
-    Lost is |T| (1 / eta - 1) and |T| (1 - eta), by the sign of T v. Below break-away friction takes what it has to.
+    Lost is |T| (1 / eta - 1) and |T| (1 - eta), by the sign of T v. Below break-away friction takes the needed share.
     """
     efficiency, torque = p["efficiency_ratio"], axis.transmitted_force
     driving, driven = 1.0 / efficiency - 1.0, 1.0 - efficiency

@@ -25,7 +25,7 @@ def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
 def _advance(axis: SymbolicAxis, early: ca.SX, nominal: float) -> None:
     """Real force = logged force, `early` seconds ago: Pade's (1 - s T) / (1 + s T) with T half of that.
 
-    Exact to second order. What is logged is known, so the log is ahead by logged - delayed = 2 (logged - lagged).
+    Exact to second order. The logged force is known, so the log is ahead by logged - delayed = 2 (logged - lagged).
     """
     half = 0.5 * early
     lag = no_shorter(axis, half)

@@ -1,6 +1,6 @@
 """Friction over speed of any shape: laws with a root, a logarithm or an exponent of speed, films, seals.
 
-What the level, damping and the Stribeck effect of an axis do not reach is a force over speed of any shape, in either
+Beyond the level, damping and the Stribeck effect of an axis there is a force over speed of any shape, in either
 direction, between rest and a speed at which it is none again. A constant is the level and a line over speed is damping,
 so that no sum of the curve's numbers is one of theirs; and as it is none at rest, it does not jump where motion turns.
 """
@@ -128,7 +128,7 @@ def _find_fault(values: Mapping[str, Value]) -> Fault | None:
 
 
 def _is_friction(p: Values, scales: Scales) -> bool:
-    """Return True if the curve takes no more than the level away: what takes more would drive the axis."""
+    """Return True if the curve takes no more than the level away: a curve that takes more would drive the axis."""
     return all(value > -scales.coulomb for name, value in p.items() if _FORWARD.holds(name) or _BACKWARD.holds(name))
 
 

@@ -7,7 +7,7 @@ from sgms_mhe.model.effects.search import Trials, Values
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
-    """The level follows s(v)/f_C with a first-order lag; chi is what it differs by from the level at rest.
+    """The level follows s(v)/f_C with a first-order lag; chi is its difference from the level at rest.
 
     Shorter than a quarter sample, the lag is blended out instead, so that zero has no effect.
     """

@@ -1,4 +1,4 @@
-"""Lags of first order, and what force and position that are apart in time have in common."""
+"""Lags of first order, and common parts of time shifts between force and position."""
 
 import math
 from typing import Final

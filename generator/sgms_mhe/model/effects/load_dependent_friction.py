@@ -1,6 +1,6 @@
-"""Friction that grows with the torque at the mesh: teeth and bearings of a gear, pressed on by what they carry.
+"""Friction that grows with the torque at the mesh: teeth and bearings of a gear, pressed by their load.
 
-Behind the mesh are the load and the inertia of what it carries; before it the rotor's, and friction of bearings there.
+Behind the mesh are the load and the inertia behind it; before it the rotor's, and friction of bearings there.
 A mesh in the middle of an axis carries the load, and shares of inertial torque and friction.
 """
 
@@ -23,7 +23,7 @@ TRIED: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
-    """Add r |T|, T = load + a_J J a + a_f f, with f all of the friction: what is added here included.
+    """Add r |T|, T = load + a_J J a + a_f f, with f all of the friction: this effect included.
 
     Along the motion T is sign(v) T_0 + a_f (f_0 + r |T|), with f_0 the friction without it, which one division solves.
     """

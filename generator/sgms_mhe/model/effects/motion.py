@@ -24,7 +24,7 @@ class Extents:
         travel: range of position on rows that count [m].
         speed: largest speed on rows that count [m/s].
         duration: from the first row to the last [s].
-        end: time of the last row since the log's start [s]; what drifts counts from that start.
+        end: time of the last row since the log's start [s]; drifts count from that start.
         rate: rows per second [Hz].
     """
 
@@ -52,7 +52,7 @@ class MotionRecord:
     Attributes:
         time, position, velocity, acceleration, force: SI.
         friction: of the model [N].
-        level: f_C d(friction)/d(f_C) [N], what friction changes by when its level changes by 100 %.
+        level: f_C d(friction)/d(f_C) [N], change of friction when its level changes by 100 %.
         damping: sigma_v [N s/m] (a typical value where the machine has none).
         mass: of the machine file [kg].
         deflection: of the element that breaks away last [m].

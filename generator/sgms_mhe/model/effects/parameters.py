@@ -58,7 +58,7 @@ class EffectParameter:
         scale: a typical size in `unit`s of the machine.
         description: one line.
         lower, upper: absolute limits [SI].
-        unit: what `scale` counts in.
+        unit: of `scale`.
         role: `size`: the effect is none where it is `none`; `shape`: how it looks (a time constant, a corner); `place`:
             of arbitrary zero (phase, position, time); `period`: known to a few percent. For estimation sizes and
             shapes are scaled by their nominal value (by `scale` where that is 0), places always by `scale`, periods by
@@ -73,7 +73,7 @@ class EffectParameter:
         whole: whether it counts something.
         step: how far one step of a fit may move it.
         times: the size that it is multiplied with: the force is linear in their product, which a fit moves.
-        least, most: what a record can tell of it, beyond `lower` and `upper`.
+        least, most: limits of its identifiability, beyond `lower` and `upper`.
     """
 
     name: str
@@ -113,7 +113,7 @@ class EffectParameter:
 
     @property
     def is_optional(self) -> bool:
-        """Return True if an effect is complete without it: what neither makes it up nor is fitted."""
+        """Return True if an effect is complete without it: a parameter that neither makes it up nor is fitted."""
         return self.role == "shape" and not self.main
 
     @property

@@ -1,7 +1,7 @@
-"""How a diagnosis looks for an effect: what it tries, and what force a trial adds to the model's.
+"""How a diagnosis looks for an effect: its trials, and the force a trial adds to the model's.
 
 To first order an effect adds columns to the model's derivatives: columns in the sizes that it is linear in, given the
-few numbers that it is not linear in (pitch, frequency, time constant). A strategy says what these columns are; the
+few numbers that it is not linear in (pitch, frequency, time constant). A strategy describes these columns; the
 engines that try them live in the diagnosis and know no effect.
 """
 
@@ -120,7 +120,7 @@ class Derivative:
 
     Attributes:
         size: its name; None: the effect's first size.
-        grid: what else to try; one compiled model serves all.
+        grid: further trials; one compiled model serves all.
         tests: how many independent trials the grid amounts to.
         costly: whether the grid is worth its runs of the model only where something speaks for the effect.
     """
@@ -137,7 +137,7 @@ class Trials:
 
     Attributes:
         grid: values of one parameter.
-        through: a short cut where the effect's own equations need many steps: what the elements move by per sample
+        through: a short cut where the effect's own equations need many steps: the elements' moves per sample
             (n) [m], from the mass's moves (n) [m], the force that its elements push back with (n) [N] and the trial.
     """
 

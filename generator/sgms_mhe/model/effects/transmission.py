@@ -16,7 +16,7 @@ def load_excitation(text: str) -> Excitation:
 
 
 def friction_drag(motion: MotionRecord, inertia_ratio: float = 1.0, friction_ratio: float = 0.0) -> Array:
-    """Friction of the size of the torque at the mesh (m, 1) [N]: what a level that grows with it adds per unit.
+    """Friction of the size of the torque at the mesh (m, 1) [N]: added per unit of a level that grows with it.
 
     Args:
         motion: of the record.
