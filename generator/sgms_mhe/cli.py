@@ -42,7 +42,7 @@ PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 
 
 class BadInput(click.ClickException):
-    """Error that a user can correct: exit code 2."""
+    """Error a user can correct: exit code 2."""
 
     exit_code = 2
 
@@ -73,7 +73,7 @@ class Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The command that the arguments name; the error of an unknown one has the nearest."""
+        """The command the arguments name; the error of an unknown one has the nearest."""
         name = args[0]
         if name in COMMANDS or name.startswith("-") or ctx.resilient_parsing or name in added_commands():
             return super().resolve_command(ctx, args)
@@ -86,7 +86,7 @@ class Commands(click.Group):
         raise click.UsageError(f"No such command {name!r}{did_you_mean(name, command_names()) or '.'}", ctx)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command that the arguments name."""
+        """Run the command the arguments name."""
         with speak_to_command_line(), warnings.catch_warnings(), _outcomes(ctx):
             warnings.simplefilter("once", MachineWarning)
             warnings.showwarning = _tell

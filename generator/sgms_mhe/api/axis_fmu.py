@@ -39,7 +39,7 @@ def write_fmu(machine: Machine, version: Literal[2, 3]) -> WrittenAxis:
     """Make the FMU of a machine's plant, with a binary for this host where it has a compiler.
 
     Raises:
-        InputError: an effect whose force for the plant is no C; numbers that the plant cannot move with.
+        InputError: an effect whose force for the plant is no C; numbers the plant cannot move with.
         BuildError: no compiler, or it refused.
     """
     name = f"{machine.name}_axis"
@@ -102,7 +102,7 @@ def _settings(machine: Machine) -> Iterator[tuple[str, float]]:
 
 
 def _effect_rows(machine: Machine) -> Iterator[tuple[str, list[float], list[float]]]:
-    """Effects of the C with their parameters, of lists one for each entry; and the list that it takes whole."""
+    """Effects of the C with their parameters, of lists one for each entry; and the list it takes whole."""
     for effect in machine.effects:
         entries = effect_definition(effect.name).entries(effect.parameters)
         for row in _rows(machine, effect.name, entries):
@@ -111,7 +111,7 @@ def _effect_rows(machine: Machine) -> Iterator[tuple[str, list[float], list[floa
 
 
 def _table(effect: str, row: list[str], entries: dict[str, float]) -> list[str]:
-    """Names of the entries of the list that the C takes whole, which is its last parameter; none: it takes none so."""
+    """Names of the entries of the list the C takes whole, which is its last parameter; none: it takes none so."""
     if not loaded_library().has_table(effect):
         return []
     whole = next(p for p in effect_definition(effect).parameters if p.holds(row[-1]))
@@ -119,7 +119,7 @@ def _table(effect: str, row: list[str], entries: dict[str, float]) -> list[str]:
 
 
 def _rows(machine: Machine, effect: str, entries: dict[str, float]) -> list[list[str]]:
-    """Names of the entries of each of the C's effects that an effect makes."""
+    """Names of the entries of each of the C's effects an effect makes."""
     names = loaded_library().effects.get(effect)
     if names is None:
         allowed = "effects of this package: the force that another distribution brings for the plant is no C"

@@ -35,7 +35,7 @@ def diagnose(
         held_out_s: intervals since the log's start [s] that no fit behind a reported gain sees; None: a third of the
             record, in blocks.
         objective: norm of the extended machine's numbers. force: all of them; motion: Coulomb level, damping and sizes
-            of effects once more, to the motion that the force alone makes; both: each error over its noise.
+            of effects once more, to the motion the force alone makes; both: each error over its noise.
         note: called with each sentence on how the log was read; None: they are `LogWarning`s.
         progress: called with each step and the share of the work before it; None: the logger `sgms_mhe.progress` is.
 

@@ -38,7 +38,7 @@ def estimate(
     Args:
         machine: file, name, or loaded.
         log: file, Log or DataFrame; columns that replace the signal chain (velocity_m_s, ...) are used where they are.
-        solver: one of c, the generated C, compiled here; reference, the Python solver that it is judged by; ekf, the
+        solver: one of c, the generated C, compiled here; reference, the Python solver it is judged by; ekf, the
             generated C of an extended Kalman filter; smoother, least squares over the whole record.
         progress: called with (updates done, updates in all).
         note: called with each sentence on how the log was read; None: they are `LogWarning`s.
@@ -100,7 +100,7 @@ def predict(
 def find_origin(
     machine: str | Path | Machine, log: LogSource, *, within_m: float | None = None, note: Note | None = None
 ) -> Origin:
-    """Find the position that a machine's forces over place count from, along a first stretch of motion.
+    """Find the position a machine's forces over place count from, along a first stretch of motion.
 
     After a power-up an axis that is not homed counts its positions from another place. The returned
     `position_m` is the argument of `NAME_set_origin`; a log with that subtracted from its positions is one of the homed

@@ -37,7 +37,7 @@ def plan(
 
 
 def effects(kind: Kind | None = None) -> dict[str, EffectDefinition]:
-    """Return the effects that an axis may have beyond friction.
+    """Return the effects an axis may have beyond friction.
 
     Args:
         kind: of axis, linear or rotary; None: both.

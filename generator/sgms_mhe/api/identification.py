@@ -47,7 +47,7 @@ def identify(
         like: take sampling, estimator, code and [log] from this machine.
         table: content of a table `[log]`, laid over that of `like`; without `like` it stands in the file.
         objective: force: all numbers are fitted to it; motion: mass, level, damping and sizes of effects then once
-            more, to the motion that the force alone makes; both: each error over its noise.
+            more, to the motion the force alone makes; both: each error over its noise.
         note: called with each sentence on how the logs were read; None: they are `LogWarning`s.
         progress: called with each step; None: the logger `sgms_mhe.progress` is.
 

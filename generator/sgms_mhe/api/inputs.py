@@ -134,7 +134,7 @@ def warn_of_log(sentence: str) -> None:
 def recorded_log(
     log: LogSource, machine: Machine, *, commanded: bool = False, driven: bool = False, note: Note | None = None
 ) -> Log:
-    """Read a log that an axis of this machine can have left.
+    """Read a log an axis of this machine can have left.
 
     `commanded`: it may have no force, but a command; `driven`: its force is then that which the machine's drive made.
 

@@ -26,7 +26,7 @@ def generate(
         out: the package's folder, replaced as a whole, and only if nothing but an earlier package is in it; None: write
             nothing.
         amalgamate: all C in one source and one header.
-        bindings: one or several languages and tools that it is to be called from besides: "python", "cpp", "fmu2",
+        bindings: one or several languages and tools it is to be called from besides: "python", "cpp", "fmu2",
             "fmu3".
 
     Returns:

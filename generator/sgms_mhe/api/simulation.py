@@ -1,4 +1,4 @@
-"""A simulated axis and the log that it leaves."""
+"""A simulated axis and the log it leaves."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def simulate(
         duration_s: repeat or cut the motion to this long [s]; None: once.
         scale: true over nominal value by parameter: mass (of a rotary axis inertia), stiffness, stiffness_1, coulomb,
             effect.parameter, ... As often as needed.
-        hidden_effects: (name, parameters) of effects that the plant has and the machine does not know; `effects()` has
+        hidden_effects: (name, parameters) of effects the plant has and the machine does not know; `effects()` has
             them.
         law: friction law of the plant; maxwell_slip switches; None: the machine's.
         force_noise_N: one standard deviation of the logged force [N, N m].
@@ -52,7 +52,7 @@ def simulate(
         The log, one row per sample, and the truth where it was asked for.
 
     Raises:
-        InputError: a name, a file or a number that does not fit; an axis that its controller cannot hold.
+        InputError: a name, a file or a number that does not fit; an axis its controller cannot hold.
     """
     axis = load(machine)
     sampling = axis.sampling

@@ -37,7 +37,7 @@ def start_text(
     break_away: Annotated[float | None, Option("M", 1e-12, 1e9)] = None,
     max_velocity: Annotated[float, Option("M_S", 1e-12, 1e9)] = 1.0,
 ) -> tuple[str, Machine]:
-    """The machine file, every number with its unit and where it comes from, and the machine that it describes.
+    """The machine file, every number with its unit and where it comes from, and the machine it describes.
 
     An unknown number has a usual value and is marked as assumed: friction of 1 % of the weight (of an axis that turns,
     of a tenth of the inertia at 1 rad/s^2), a break-away distance of 50 um or 50 urad.
@@ -53,7 +53,7 @@ def start_text(
         max_velocity: highest speed [m/s, rad/s], up to which the estimate is right.
 
     Raises:
-        InputError: a number that no machine file may have.
+        InputError: a number no machine file may have.
     """
     units = OF_KIND[kind]
     linear = kind == "linear"

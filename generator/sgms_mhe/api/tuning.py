@@ -26,7 +26,7 @@ def tune(
     Args:
         machine: file, name, or loaded.
         log: file, Log, DataFrame or arrays by name.
-        objective: force: innovations are likeliest; motion: the errors of a motion that is predicted over the horizon,
+        objective: force: innovations are likeliest; motion: the errors of a motion predicted over the horizon,
             their second integral; both: both.
         note: called with each sentence on how the log was read; None: they are `LogWarning`s.
         progress: called with each step; None: the logger `sgms_mhe.progress` is.

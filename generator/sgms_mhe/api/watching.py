@@ -140,7 +140,7 @@ class _Growing(SampleSource):
         self._idle_s = idle_s
 
     def pieces(self, stopped: Callable[[], bool]) -> Iterator[Piece | None]:
-        """The samples of the lines that have their end."""
+        """The samples of the lines with their end."""
         heard, whole = self._clock.now(), False
         while not stopped():
             content = self._read()
@@ -193,7 +193,7 @@ class Followed(_Growing):
             raise InputError(path, "file", None, f"a readable log ({error.strerror or error})") from None
 
     def pieces(self, stopped: Callable[[], bool]) -> Iterator[Piece | None]:
-        """The samples of the lines that have their end; the file is closed behind them."""
+        """The samples of the lines with their end; the file is closed behind them."""
         with self._stream:
             yield from super().pieces(stopped)
 

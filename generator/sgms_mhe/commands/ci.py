@@ -33,7 +33,7 @@ def command(
 
     Args:
         generated: folder of the packages, each in a folder of its machine's name.
-        target: emulated microcontroller that the self-test runs on as well; may be given twice.
+        target: emulated microcontroller the self-test runs on as well; may be given twice.
         junit: JUnit XML.
     """
     from sgms_mhe.evaluation.acceptance import accept, machines_below

@@ -36,7 +36,7 @@ LONGEST_LOOK_S: Final = 2.0
 
 
 def recorded_log(path: Path, machine: Machine, *, commanded: bool = False, driven: bool = False) -> Log:
-    """Read a log that an axis of this machine can have left; `commanded`, `driven`: as `inputs.recorded_log` has them.
+    """Read a log an axis of this machine can have left; `commanded`, `driven`: as `inputs.recorded_log` has them.
 
     Raises:
         InputError: it cannot be read, or its columns contradict their names.
@@ -265,7 +265,7 @@ def _sparse_lines() -> Iterator[Callable[[str], None]]:
 
 
 class AwakeClock:
-    """Seconds that a run has been awake, for a display polled a few times a second.
+    """Seconds a run has been awake, for a display polled a few times a second.
 
     Between two looks no more than `LONGEST_LOOK_S` have passed: a host that slept, or a process that was stopped, did
     nothing meanwhile, and the remaining time follows from the work done while they run.

@@ -63,7 +63,7 @@ def command(
 
 
 def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
-    """Say where the innovations contradict the noise that the machine file states."""
+    """Say where the innovations contradict the noise the machine file states."""
     from sgms_mhe.signals.innovations import NOISE_FITS, stated_noise
 
     share, unit = stated_noise(estimates), machine.plant.units.force

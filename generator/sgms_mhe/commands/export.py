@@ -33,12 +33,12 @@ def command(
 ) -> None:
     """Write MACHINE's axis for another simulator, or its friction for a drive.
 
-    Lists the parts of the axis in the form, and the lost ones. With --log also the error that a simpler form makes:
+    Lists the parts of the axis in the form, and the lost ones. With --log also the error a simpler form makes:
     its friction minus that of MACHINE's own model along the motion in LOG, and the part of it that each lost force
     has. Without --to that error of every form.
 
     Args:
-        log: log along which the error of a simpler form, and each force that it loses, is measured.
+        log: log along which the error of a simpler form, and each force it loses, is measured.
     """
     from sgms_mhe.api import exporting
 

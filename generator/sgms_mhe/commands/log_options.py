@@ -30,7 +30,7 @@ def log_table(
         log_scale: force [N], or torque [N m], per recorded unit.
 
     Raises:
-        InputError: the file; a name that is no quantity, a unit that it does not have.
+        InputError: the file; a name that is no quantity, a unit it does not have.
     """
     from sgms_mhe.machine import log_table as merge_tables
     from sgms_mhe.machine import read_log_table, table_of_flags

@@ -163,7 +163,7 @@ def _read_function(module: str, name: str) -> tuple[list[str], dict[str, str], l
 
 
 def _parameter(parameter: Parameter, texts: Mapping[str, str]) -> click.Parameter:
-    """The argument or option that a parameter of a function is."""
+    """The argument or option a parameter of a function is."""
     name, complete = parameter.name, COMPLETIONS.get(parameter.name)
     kind, form = _read_annotation(parameter.annotation)
     holder, _, inner = kind.removesuffix("]").partition("[")

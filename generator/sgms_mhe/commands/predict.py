@@ -59,7 +59,7 @@ def command(
         start_s: compare from here on [s since the log's start]; the model runs through the whole log.
         end_s: and until here [s].
         decimate: compare every N-th sample, behind an anti-aliasing filter.
-        free_run: also the motion that the logged force, or command, alone makes of the model.
+        free_run: also the motion the logged force, or command, alone makes of the model.
         tolerance_m: error of the free run's horizon [m, rad]; None: 1 % of the range of the positions.
         plot: also draw friction.png, and of a free run motion.png.
         find_origin: find the position that forces over place count from, first.

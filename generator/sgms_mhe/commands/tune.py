@@ -27,7 +27,7 @@ def command(
     """Noise weights and horizon from a log.
 
     Those are written under which LOG is likeliest. The innovations are then as large as the estimator says they are:
-    the mean test ratio is near 1. Weights that the log cannot distinguish from the file's stay as they are. Standard
+    the mean test ratio is near 1. Weights the log cannot distinguish from the file's stay as they are. Standard
     deviations at the start (parameter, initial_state) are the user's and stay.
 
     Args:

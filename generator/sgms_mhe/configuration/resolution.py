@@ -58,7 +58,7 @@ def load_machine(machine: str | Path) -> Machine:
 
 
 def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
-    """The machine that a file with `extends` and these changes would describe: tables merge, arrays are replaced.
+    """The machine a file with `extends` and these changes would describe: tables merge, arrays are replaced.
 
     Defaults that depend on other keys follow the changes. Raises InputError as load_machine does.
     """
@@ -108,7 +108,7 @@ def override_log(machine: Machine, stated: Mapping[str, Any]) -> Machine:
 
 
 def make_machine(content: Mapping[str, Any], source: Path) -> Machine:
-    """The machine that a file `source` of this content would describe. Raises InputError as load_machine does."""
+    """The machine a file `source` of this content would describe. Raises InputError as load_machine does."""
     return _resolve(machine_file(content, [Layer(source, content)]))
 
 
@@ -168,7 +168,7 @@ def _estimate_mass(estimator: Estimator, plant: Plant) -> Estimator:
 
 
 def _check_effect(file: MachineFile, index: int) -> None:
-    """Refuse an effect that the catalogue does not have, or not for this axis, or that another distribution broke."""
+    """Refuse an effect the catalogue does not have, or not for this axis, or that another distribution broke."""
     where, name = ("effects", index, "name"), file.tables.effects[index].name
     kind = file.tables.plant.kind
     try:
@@ -253,7 +253,7 @@ def _check_names(file: MachineFile, names: Collection[str]) -> None:
 
 
 def _sampling(file: MachineFile) -> Sampling:
-    """The rates, with the integrator that the friction law asks for."""
+    """The rates, with the integrator the friction law asks for."""
     sampling = file.tables.sampling
     if file.tables.friction.switches:
         return sampling.model_copy(update={"integrator": _clipping(file)})

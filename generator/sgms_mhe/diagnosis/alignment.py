@@ -140,8 +140,8 @@ def _fit_sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, 
 
     Proportional to the force's rate: force and position up to TIMING of a sample apart. Proportional to the second
     derivative of the inertial force: its second difference over a sample h is low by h^2 / 12 of that, against a force
-    that is sampled in a point. `timed`: a delay or lag is under test, which the former belongs to; such as that of a
-    force that is held over a sample, which is low by h^2 / 8.
+    sampled in a point. `timed`: a delay or lag is under test, which the former belongs to; such as that of a
+    force held over a sample, which is low by h^2 / 8.
     """
     used, step = whole.recording.used, whole.machine.sampling.step
     free = fit.find_nuisance(used)
@@ -218,9 +218,9 @@ def find_chain_error(whole: Subject, fit: Fit) -> Array:
 
 
 def find_encoder_force(whole: Subject, fit: Fit) -> Array | None:
-    """Return the force that the encoder's steps leave in a residual (m) [N]; None where they do not show.
+    """Return the force the encoder's steps leave in a residual (m) [N]; None where they do not show.
 
-    Mass times the acceleration that they make; and friction, as far as the model takes another trajectory from them:
+    Mass times the acceleration they make; and friction, as far as the model takes another trajectory from them:
     where stiff elements stick, a fraction of a step is a force; and a smooth law goes down a little at every reversal
     near its level. One realisation, lines being elsewhere.
     """
@@ -376,7 +376,7 @@ def in_step(log: Log, offset: float) -> Log:
 
 
 def offset_notes(machine: Machine, offset: float) -> tuple[str, ...]:
-    """Return the remarks on a force that was put in step with the position by that time [s]."""
+    """Return the remarks on a force put in step with the position by that time [s]."""
     if offset == 0.0:
         return ()
     age = "older" if offset > 0.0 else "younger"

@@ -43,7 +43,7 @@ class RecordStart:
     """Numbers of the record to begin from.
 
     Attributes:
-        machine: the file's, with the numbers that the record has of friction and of effects that identification knows;
+        machine: the file's, with the numbers the record has of friction and of effects that identification knows;
             where the file's mass is refuted, with the record's, and an effect that leaves it open.
         mass: of the motion; None: the file's stays.
     """
@@ -55,7 +55,7 @@ class RecordStart:
 def plain_friction(recording: Recording) -> PlainFriction:
     """Return the residual of Coulomb and viscous friction: least squares with the mass and an offset.
 
-    Fitted to the blocks that the fit behind a reported gain sees.
+    Fitted to the blocks the fit behind a reported gain sees.
     """
     velocity, held_out = recording.velocity, recording.rows_held_out()
     X = np.column_stack((recording.acceleration, np.ones(len(velocity)), velocity, np.sign(velocity)))

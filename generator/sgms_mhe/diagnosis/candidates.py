@@ -225,7 +225,7 @@ def _search_trials(
 ) -> Proposal | None:
     """Run the effect's own model at a few sizes; its column is the change of the force.
 
-    A number of the machine that the fit drove to its bound may be the one the effect acts on: no lag shows in a
+    A number of the machine the fit drove to its bound may be the one the effect acts on: no lag shows in a
     Stribeck effect of none. In the trials it has the file's value.
     """
     choose_rate = subject.choose_rate(fit.effects)
@@ -283,7 +283,7 @@ def _run_through(
     theta: Array,
     motion: MotionRecord,
 ) -> Array:
-    """Friction (m) [N] of the model along the motion that its elements see by the effect's short cut.
+    """Friction (m) [N] of the model along the motion its elements see by the effect's short cut.
 
     Cheaper than the effect's own equations; good enough to start a refit from.
     """

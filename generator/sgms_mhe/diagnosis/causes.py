@@ -1,4 +1,4 @@
-"""Causes that hold on data that their fit has not seen: sizes, intervals, gains, and the machine extended by them."""
+"""Causes that hold on data their fit has not seen: sizes, intervals, gains, and the machine extended by them."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -80,7 +80,7 @@ def name_cause(fit: Fit, group: ParameterGroup) -> str:
 
 
 def find_vague(cause: Cause) -> tuple[str, ...]:
-    """Return the parameters that the record does not determine: intervals as wide as they are, or none."""
+    """Return the parameters the record does not determine: intervals as wide as they are, or none."""
     found = []
     for key, value in cause.parameters.items():
         margin = SIGMAS * cause.std[key]
@@ -95,9 +95,9 @@ def find_vague(cause: Cause) -> tuple[str, ...]:
 
 
 def is_confirmed(cause: Cause, *, complete: bool = False, certain_p: float = 0.0) -> bool:
-    """Return True if a cause has a size, and a gain on data that its fit has not seen.
+    """Return True if a cause has a size, and a gain on data its fit has not seen.
 
-    The gain may be uncertain where it is certain that the cause is there: few blocks of a short record, not all of
+    The gain may be uncertain where it is certain the cause is there: few blocks of a short record, not all of
     which it acts in. It is where its test gives less than `certain_p`; and where the fit
     leaves nothing that matters (`complete`), by its sizes.
     """
@@ -122,7 +122,7 @@ def is_possible(cause: Cause, final: FinalFit) -> bool:
 
 
 def _sizes(cause: Cause) -> dict[str, float]:
-    """Parameters that the record determines and that say how much of a cause there is, and where it is none."""
+    """Parameters the record determines and that say how much of a cause there is, and where it is none."""
     known = [key for key, value in cause.parameters.items() if math.isfinite(cause.std[key]) and math.isfinite(value)]
     if cause.nominal:
         return {key: cause.nominal[key] for key in known}
@@ -383,7 +383,7 @@ def restore_undetermined(final: FinalFit, found: Confirmed) -> Confirmed:
 
 
 def _find_undetermined(final: FinalFit, found: Confirmed) -> list[ParameterGroup]:
-    """Wrong numbers of the machine that are none once the ones are as in its file that the record does not determine.
+    """Wrong numbers of the machine that are none once the ones are as in its file the record does not determine.
 
     Together they may make up for an error of something else.
     """

@@ -1,4 +1,4 @@
-"""Causes that a record does not tell apart: combinations of their sizes that it knows, by the joint information."""
+"""Causes a record does not tell apart: combinations of their sizes it knows, by the joint information."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from sgms_mhe.support.statements import Rule, Statement
 
 @dataclass(frozen=True)
 class KnownCombination:
-    """Combination of the sizes of two causes that a record knows, where it knows neither: first + weight second.
+    """Combination of the sizes of two causes a record knows, where it knows neither: first + weight second.
 
     Attributes:
         causes: labels of both.

@@ -1,4 +1,4 @@
-"""Coordinates that a learned residual may depend on, and cubic B-splines over them that end in zero."""
+"""Coordinates a learned residual may depend on, and cubic B-splines over them that end in zero."""
 
 import math
 from dataclasses import dataclass

@@ -116,7 +116,7 @@ class Criteria:
         table: [diagnosis] of the machine file.
         floor: noise of the measured friction [N].
         material: RMS gain that matters [N].
-        excited: effects that the record can show.
+        excited: effects the record can show.
         one_speed: whether the motion has but one speed: a force periodic in place is periodic in time too.
         progress: told of each step.
     """
@@ -140,7 +140,7 @@ class Criteria:
     def excess(self, fit: Fit) -> float:
         """RMS of a fit's residual beyond noise [N].
 
-        Of the rows that it has seen: where a record turns round but once, a fit without that fold predicts anything.
+        Of the rows it has seen: where a record turns round but once, a fit without that fold predicts anything.
         """
         return math.sqrt(max(0.0, fit.rms**2 - self.floor**2))
 
@@ -231,9 +231,9 @@ def _is_periodic(name: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """A proposal and the RMS of the force that it explains by cross-validation, to first order [N].
+    """A proposal and the RMS of the force it explains by cross-validation, to first order [N].
 
-    `group`: numbers of the machine that it is; None: an effect.
+    `group`: numbers of the machine it is; None: an effect.
     """
 
     gain: float
@@ -242,7 +242,7 @@ class Ranked:
 
 
 def make_effect(proposal: Proposal) -> CandidateEffect:
-    """Return the effect that a refit of a proposal starts from."""
+    """Return the effect a refit of a proposal starts from."""
     return CandidateEffect(proposal.name, proposal.parameters)
 
 
@@ -268,7 +268,7 @@ def rank_proposals(subject: Subject, current: Fit, proposals: Sequence[Proposal]
 
 
 def linear_gain(subject: Subject, current: Fit, proposal: Proposal) -> float:
-    """RMS of the force that a proposal explains by cross-validation, to first order [N]."""
+    """RMS of the force a proposal explains by cross-validation, to first order [N]."""
     recording = subject.recording
     # Columns are projected on used rows: the other parameters follow by themselves.
     full = np.zeros((len(recording.time), proposal.columns.shape[1]))

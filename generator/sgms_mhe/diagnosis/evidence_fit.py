@@ -108,7 +108,7 @@ class Design:
         )
 
     def sum_parts(self, y: Array, part: Index) -> tuple[Moments, ...]:
-        """Return the moments of the parts that the rows (m) are numbered by."""
+        """Return the moments of the parts the rows (m) are numbered by."""
         found = [(self.X[part == k], y[part == k]) for k in range(int(part.max()) + 1)]
         return tuple(Moments(A.T @ A, A.T @ b, float(b @ b), len(b)) for A, b in found)
 

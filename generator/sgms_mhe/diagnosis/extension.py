@@ -22,9 +22,9 @@ def extend_machine(
     moved: float | None = None,
     followed: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Machine, dict[str, Any]]:
-    """Return the machine with numbers corrected and effects added, and the tables that this changes.
+    """Return the machine with numbers corrected and effects added, and the tables this changes.
 
-    A number that the record says is 0 is no scale for its own estimate: parameters of the base without one in the
+    A number the record says is 0 is no scale for its own estimate: parameters of the base without one in the
     extended machine are left out of its `estimator.parameters` (where nothing is left, the default takes the place).
 
     Args:

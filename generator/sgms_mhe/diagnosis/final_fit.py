@@ -27,7 +27,7 @@ floor]: where its lines are, and so how much of their noise passes the low-passe
 
 @dataclass(frozen=True, eq=False)
 class RecordResidual(RecordLoss):
-    """Residual of a record that a fit may have seen parts of."""
+    """Residual of a record a fit may have seen parts of."""
 
     @classmethod
     def of(cls, fit: Fit) -> Self:
@@ -43,7 +43,7 @@ class RecordResidual(RecordLoss):
 
 
 def split_rms(fit: Fit | RecordResidual, recording: Recording) -> tuple[float, float]:
-    """RMS [N] on blocks that the fit behind the gains sees, and on the held-out ones."""
+    """RMS [N] on blocks the fit behind the gains sees, and on the held-out ones."""
 
     def value(blocks: Mask) -> float:
         rows = float(fit.rows[blocks].sum())
@@ -66,7 +66,7 @@ class FinalFit:
         nominal_residual: of that over the whole record.
         start: all of the machine's numbers refitted, no effect added.
         floor: noise of the measured friction [N].
-        encoder: force that the encoder's steps leave in the whole record's residual (m) [N]; None: they do not show.
+        encoder: force the encoder's steps leave in the whole record's residual (m) [N]; None: they do not show.
         along: the machine along the whole record, where the fits are to pieces of it.
         known: residuals over the whole record, by the fit's identity.
     """
@@ -112,7 +112,7 @@ class FinalFit:
 
     @property
     def encoder_friction(self) -> float:
-        """RMS of the friction that the encoder's steps may leave [N]: numbers of the machine imitate it."""
+        """RMS of the friction the encoder's steps may leave [N]: numbers of the machine imitate it."""
         inertial = self.record.steps_inertia
         if self.encoder is None or inertial is None:
             return 0.0
@@ -162,7 +162,7 @@ def make_final_fit(record: Recording, nominal: Fit, laws: Laws, selection: Selec
 
 
 def _time_step(subject: Subject, along: Subject | None, fit: Fit, effect: CandidateEffect) -> CandidateEffect:
-    """A step at the instant that the whole record says, its size given; `along`: that record, where pieces are fitted.
+    """A step at the instant the whole record says, its size given; `along`: that record, where pieces are fitted.
 
     The segments only bound it between two of them; and a search may have put it where something was not known yet.
     """

@@ -50,7 +50,7 @@ class Fit(FitLoss):
         effects: effects under test, with the numbers found.
         theta: (n_p).
         free: parameters that were fitted (n_p).
-        interior: those of them that no bound holds (n_p): the directions that the data may still move.
+        interior: those of them that no bound holds (n_p): the directions the data may still move.
         jacobian: d(model)/d(theta) (m, n_p).
         own: numbers of each of several joined logs, taken out of residual and Jacobian; None: there is one.
     """
@@ -94,7 +94,7 @@ class Alignment:
 
     Attributes:
         measured: friction before any of it was (m) [N].
-        sampled: coefficients (2) of jerk and snap that the sampling accounts for.
+        sampled: coefficients (2) of jerk and snap the sampling accounts for.
         later: error of the model's steps in its friction (m) [N]; None: not computed.
         at: that friction (m) [N].
     """
@@ -116,14 +116,14 @@ class Alignment:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """An axis's model and the record that it is fitted to.
+    """An axis's model and the record it is fitted to.
 
     Attributes:
         machine: the axis.
         recording: the record, its measured friction in line with the model.
         alignment: of the record.
         noise: of the measured friction [N]; weight of the prior.
-        encoder: force that the encoder's steps leave in the residual (m) [N]; None: they do not show, or nobody asked.
+        encoder: force the encoder's steps leave in the residual (m) [N]; None: they do not show, or nobody asked.
         enough: least promised gain of a step of a fit [rows' worth of noise].
         starts: SI values of machine numbers that fits start from, where the file gives no good idea of them.
         fine: the same at the record's full rate, where this one is thinned.
@@ -232,7 +232,7 @@ def fit_model(
         effects: effects under test and their starting values.
         refitted: groups of the machine's own numbers that are free; None: all.
         warm: a fit whose machine numbers to start from.
-        rows: rows that the fit sees (m); None: all used ones.
+        rows: rows the fit sees (m); None: all used ones.
         fixed: columns of the machine's own numbers that stay at its file's, whatever is refitted.
         iterations: at most; None: the usual ones.
         again: fit also known ones, from `warm`, and keep the better one.
@@ -374,7 +374,7 @@ def try_fit(
 
 
 def find_at_bounds(columns: Sequence[JacobianColumn], theta: Array, descent: Array, recording: Recording) -> Mask:
-    """Parameters at theta (n_p) at a bound that a descent (n_p) of the cost pushes them against (n_p)."""
+    """Parameters at theta (n_p) at a bound a descent (n_p) of the cost pushes them against (n_p)."""
     lower, upper = bounds(columns, recording)
     near = AT_BOUND * np.maximum(1.0, np.abs(theta))
     return np.asarray(((theta <= lower + near) & (descent < 0.0)) | ((theta >= upper - near) & (descent > 0.0)))

@@ -50,7 +50,7 @@ def list_smoothed(recording: Recording, causes: Iterable[Cause]) -> tuple[Statem
     """Return the low-passes' attenuation of the named sines, on average over the used rows.
 
     Force and acceleration come through two of them and a sample, the model's sine through none: so an amplitude is too
-    small by H^2 / z and the delay that is taken out, at f = |v| / pitch for one in place.
+    small by H^2 / z and the delay taken out, at f = |v| / pitch for one in place.
     """
     delay = recording.signals.delay
     if delay <= 0.0:  # the log brought what the chain would have made
@@ -178,7 +178,7 @@ def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: 
 
 
 def _energies(sine: _Sine, band: tuple[float, float], free: Nuisance, e: Array) -> tuple[Array, Array]:
-    """Wavenumbers of a band, four over the span of x apart or closer, and the energy that each one's columns explain.
+    """Wavenumbers of a band, four over the span of x apart or closer, and the energy each one's columns explain.
 
     Nuisance projected out; FFTs over bins of x, six to the shortest period: binning loses 5 % of a sine, and as much
     of the projected part.

@@ -29,7 +29,7 @@ class Member:
 
     Attributes:
         fit: the machine along it, in line with the model; its `theta` (n_p) is where the fit starts.
-        origin_step: step that the derivative in the origin of its position is taken by [m]; 0: the origin is known.
+        origin_step: step the derivative in the origin of its position is taken by [m]; 0: the origin is known.
     """
 
     fit: RecordFit
@@ -60,7 +60,7 @@ class JointFit:
     Attributes:
         members: records along the same machine.
         common: numbers (n_p) that are fitted and the same in all.
-        own: numbers (n_p) that are fitted in each.
+        own: numbers (n_p) fitted in each.
     """
 
     members: tuple[Member, ...]
@@ -135,7 +135,7 @@ class JointFit:
         return Quadratic(H, g, binding, np.diag(H) + binding)
 
     def after(self, here: JointPoint, step: Array) -> JointPoint:
-        """Return the point that a step leads to."""
+        """Return the point a step leads to."""
         thetas, origins = [], here.origins.copy()
         for k, (member, place, point) in enumerate(zip(self.members, self.places, here.points, strict=True)):
             own = int(self.free.sum())
@@ -204,7 +204,7 @@ class JointFit:
         """Return the covariance of the numbers (n_p, n_p), 0 where they are not fitted.
 
         Of a common number: noise, which is another one in each record; the errors that are the same in all; and the
-        spread between the records, by the change of the numbers that each of them asks for. Of one that each record
+        spread between the records, by the change of the numbers each of them asks for. Of one that each record
         has of its own: the mean over records of the covariance in one.
 
         Args:

@@ -155,7 +155,7 @@ def adopt_numbers(
 
 
 def refit_to_motion(found: Diagnosis, logs: Sequence[Log], objective: Objective) -> Diagnosis:
-    """Return a diagnosis whose extended machine has the numbers that its motion, or both norms, say.
+    """Return a diagnosis whose extended machine has the numbers its motion, or both norms, say.
 
     They are fitted to the records as the file is run on them. Mass stays: it is the file's, or the force's.
     """

@@ -1,4 +1,4 @@
-"""Judgement of a final fit: causes that hold, and the verdict that they allow."""
+"""Judgement of a final fit: causes that hold, and the verdict they allow."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -152,7 +152,7 @@ def _is_any_curve(name: str) -> bool:
 
 
 def _is_part_of_curve(name: str) -> bool:
-    """Return True if nothing tells a cause from a part of a curve of any shape that is named beside it."""
+    """Return True if nothing tells a cause from a part of a curve of any shape named beside it."""
     return cause_definition(name).over_speed and not _is_any_curve(name)
 
 
@@ -163,7 +163,7 @@ def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
 
 
 def _encoder_rms(final: FinalFit) -> float:
-    """RMS of the force that the encoder's steps leave in a record that can be judged all the same [N]; else 0."""
+    """RMS of the force the encoder's steps leave in a record that can be judged all the same [N]; else 0."""
     encoder, record = final.encoder, final.record
     return 0.0 if encoder is None or hides_friction(record, encoder) else record.rms(encoder)
 

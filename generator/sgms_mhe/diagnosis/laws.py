@@ -56,7 +56,7 @@ def subtract_effects(subject: Subject, fit: Fit) -> Recording:
 
 
 def convex_start(subject: Subject, fit: Fit) -> dict[str, float]:
-    """Numbers of the machine to start from, by column [SI]: of the friction that a fit's effects do not explain.
+    """Numbers of the machine to start from, by column [SI]: of the friction a fit's effects do not explain.
 
     Neither the machine file's numbers nor where the fit stopped matter. Nothing where there is no friction, or none
     can be told from the effects'.
@@ -304,7 +304,7 @@ def _start_stiff(subject: Subject, effects: Sequence[CandidateEffect], criteria:
 
 
 def _restart(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Subject, Fit]:
-    """The fit, or where it leaves something one from numbers that no machine file has a say in, if that is better.
+    """The fit, or where it leaves something one from numbers no machine file has a say in, if that is better.
 
     A sum of squares of elements has more than one minimum, and the file's numbers decide which one a fit ends in.
     """

@@ -68,7 +68,7 @@ class Learned:
 
     Attributes:
         terms: of its sum.
-        held_out_before, held_out_after: RMS of the residual without and with it, on data that it has not seen [N].
+        held_out_before, held_out_after: RMS of the residual without and with it, on data it has not seen [N].
         gain_interval: 98 % interval of the share by which it falls [1].
         unseen: force along the record (m) [N], each part of it as the others predict it.
         records: others that it was judged on.
@@ -85,7 +85,7 @@ class Learned:
 
     @property
     def over(self) -> tuple[Kind, ...]:
-        """Coordinates that it depends on."""
+        """Coordinates it depends on."""
         return tuple(dict.fromkeys(c.kind for term in self.terms for c in term.coordinates))
 
     @property

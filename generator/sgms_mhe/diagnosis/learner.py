@@ -1,4 +1,4 @@
-"""A residual that has no name, learned: one sum of smooth functions of place, speed and travel since a reversal.
+"""A residual with no name, learned: one sum of smooth functions of place, speed and travel since a reversal.
 
 All functions are fitted at once, as tables of cubic B-splines that end in zero where the data end; their sizes are told
 by the evidence of the record (`evidence_fit.py`). A force that wanders with time is fitted beside them, and predicts
@@ -127,7 +127,7 @@ def _count_parts(residual: Array) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _SplineTerm:
-    """A function to be fitted: its splines (m, k) along the rows that are learned from."""
+    """A function to be fitted: its splines (m, k) along the rows learned from."""
 
     coordinates: tuple[Coordinate, ...]
     splines: Array
@@ -183,7 +183,7 @@ def _fit(terms: Sequence[_SplineTerm], residual: Array, part: Index) -> tuple[De
 def _solve_terms(
     terms: Sequence[_SplineTerm], residual: Array, part: Index, design: Design, fit: EvidenceFit
 ) -> tuple[LearnedTerm, ...]:
-    """Return the functions that have a force worth a table, fitted without the others.
+    """Return the functions with a force worth a table, fitted without the others.
 
     A spline without data is limited to the range between the least and the largest force of its function on the data.
     """

@@ -41,7 +41,7 @@ is none."""
 
 @dataclass(frozen=True)
 class _Carried:
-    """A period, the orders that the record carries at it, the one that explains most first, and their residual.
+    """A period, the orders the record carries at it, the one that explains most first, and their residual.
 
     `left`: sum of squares on unseen folds [N^2].
     """
@@ -85,7 +85,7 @@ class _BinMoments:
 
 @dataclass(frozen=True, eq=False)
 class _Beside:
-    """Part of a search that no period changes.
+    """Part of a search no period changes.
 
     Attributes:
         fold: of each used row.
@@ -114,7 +114,7 @@ class _Search:
     Attributes:
         kind: names of the map's parameters.
         seen: the residual.
-        beside: sums that no period changes.
+        beside: sums no period changes.
         x: position on used rows [m].
         slow: rows that are not too fast for the finest sine.
         finest: the most periods per metre that rows and filters let pass [1/m].
@@ -143,7 +143,7 @@ class _Search:
 
     @property
     def least_gain(self) -> float:
-        """Sum of squares that one order has to explain [N^2]."""
+        """Sum of squares one order has to explain [N^2]."""
         return (ENTRY_GAIN * self.material) ** 2 * len(self.x)
 
     def carried(self, period: float) -> _Carried:
@@ -182,7 +182,7 @@ class _Search:
         return nearest_peak(gathered, columns, best, width, self.longest * min(carried.orders))
 
     def nearest(self, carried: _Carried) -> _Carried:
-        """Return the orders that the record carries at the refined period."""
+        """Return the orders the record carries at the refined period."""
         return self.carried(self.refined(carried))
 
     def simplest(self, found: Sequence[_Carried]) -> _Carried:
@@ -196,7 +196,7 @@ class _Search:
         return min((c for c in few if c.left - least <= self.least_gain), key=lambda c: c.period)
 
     def search_related(self, best: _Carried) -> list[_Carried]:
-        """Return the orders that the record carries at other periods of the same force.
+        """Return the orders the record carries at other periods of the same force.
 
         All multiples of a period are periods too. And where a period is wrong, its sines are none the less about where
         those of the right one are, though of other orders.
@@ -227,7 +227,7 @@ def _most(H: Array, b: Array, taken: Sequence[int], lowest: int) -> int | None:
 
 
 def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual) -> Proposal | None:
-    """The map that explains most on data that it has not seen; None where one sine does as well."""
+    """The map that explains most on data it has not seen; None where one sine does as well."""
     search = _make_search(kind, seen)
     if search is None:
         return None
@@ -261,7 +261,7 @@ def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual
 
 
 def _make_search(kind: Periodic, seen: Residual) -> _Search | None:
-    """Return the part of a record that a search can use; None where nothing moves."""
+    """Return the part of a record a search can use; None where nothing moves."""
     used, motion = seen.recording.used, seen.motion
     x, speed = motion.position[used], np.abs(motion.velocity[used])
     slow = speed <= float(np.quantile(speed, 1.0 - FAST_ROWS))
@@ -309,7 +309,7 @@ def _middle_columns(highest: int) -> Array:
 def _gather(seen: Residual, x: Array, width: float) -> tuple[Residual, Array, Array]:
     """Rows that are so near to each other in x that no column changes between them, as one each: (bins) of them.
 
-    Their mean x, and the root of their count. Columns at the one times the other have the products that the rows' own
+    Their mean x, and the root of their count. Columns at the one times the other have the products the rows' own
     ones have.
     """
     _, place, count = np.unique(np.floor((x - x.min()) / width), return_inverse=True, return_counts=True)

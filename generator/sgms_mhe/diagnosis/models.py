@@ -348,7 +348,7 @@ class Prior:
     Attributes:
         information: in units of the sum of squares; damps a step.
         binding: the same of the machine's own numbers, 0 of effects under test; part of the cost.
-        centre: theta that it holds to.
+        centre: theta it holds to.
     """
 
     information: Array

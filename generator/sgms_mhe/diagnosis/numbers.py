@@ -68,7 +68,7 @@ def friction_changes(machine: Machine, values: Mapping[str, float]) -> dict[str,
 def extended_machine(
     machine: Machine, final: FinalFit, selection: Selection, causes: Sequence[Cause], file: Machine
 ) -> tuple[Machine, dict[str, Any]]:
-    """Return the machine with its wrong numbers corrected and the effects added, and the tables that this changes.
+    """Return the machine with its wrong numbers corrected and the effects added, and the tables this changes.
 
     `file`: whose tables change; the machine itself, or the one whose numbers gave way to the record's.
     """

@@ -68,7 +68,7 @@ GROUPS: Final = 6
 
 
 def find_origin(machine: Machine, log: Log, within: float | None = None) -> Origin:
-    """Find the position that the forces over place of a machine count from in a log.
+    """Find the position the forces over place of a machine count from in a log.
 
     Args:
         machine: whose effects read the place.
@@ -265,7 +265,7 @@ def _leave_open(reason: str, gain: float = 0.0, candidates: tuple[float, ...] = 
 
 
 def _held_out_gain(search: _OriginSearch, tried: _Tried, held: Mask) -> tuple[float, float]:
-    """Return the gain [N] of the origin that the other blocks choose, on the held-out ones, and its lower end."""
+    """Return the gain [N] of the origin the other blocks choose, on the held-out ones, and its lower end."""
     recording = search.recording
     chosen = search.refine(tried.minima(~held)[0], tried.step, ~held)
     blind, seeing = (search.sum_blocks(rest**2) for rest in (tried.rests.mean(axis=0), search.rest(chosen)))
@@ -348,7 +348,7 @@ def _settle(search: _OriginSearch, origin: float, step: float) -> tuple[float, f
 
 
 def find_reach(machine: Machine) -> float:
-    """Return the largest range of origins that is tried for a machine [m]."""
+    """Return the largest range of origins tried for a machine [m]."""
     return MOST * min(find_pitches(machine), default=math.inf) / A_PERIOD
 
 

@@ -13,7 +13,7 @@ class TransferredCause:
 
     Attributes:
         label: of the cause.
-        gain_N: RMS of the force that it explains there, on held-out blocks; negative: it makes the residual larger.
+        gain_N: RMS of the force it explains there, on held-out blocks; negative: it makes the residual larger.
         gain_interval_N: 95 % interval over these blocks.
         is_shown: whether its force there is one that matters.
     """
@@ -26,7 +26,7 @@ class TransferredCause:
 
 @dataclass(frozen=True)
 class Origin:
-    """Position that a machine's forces over place count from, as one record tells it; keys of a linear axis.
+    """Position a machine's forces over place count from, as one record tells it; keys of a linear axis.
 
     Attributes:
         position_m: argument of `NAME_set_origin`; None: not determined.
@@ -35,7 +35,7 @@ class Origin:
             do not repeat, or not within the allowed range.
         candidates_m: origins that fit as well as each other, best first: this one, or several that the record does not
             tell apart; none where it tells nothing of the place.
-        gain_N: RMS of force that the place explains on held-out blocks, beside not knowing it.
+        gain_N: RMS of force the place explains on held-out blocks, beside not knowing it.
         reason: why it is not determined; empty where it is.
     """
 

@@ -1,4 +1,4 @@
-"""Numbers that each of several joined logs has of its own, beside those that they have in common."""
+"""Numbers each of several joined logs has of its own, beside those that they have in common."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -64,7 +64,7 @@ class ParameterGroup:
     """Parameters of one cause, wrong or present together.
 
     Attributes:
-        kind: base: numbers of the base model; own: an effect that the machine has; candidate: an effect under test.
+        kind: base: numbers of the base model; own: an effect the machine has; candidate: an effect under test.
         cause: its name in a diagnosis: the wrong number or the effect.
         label: of its effect in the machine (`force_ripple_2`); empty for the others.
         index: of an effect under test, its place among them.
@@ -82,7 +82,7 @@ class ParameterGroup:
 
     @classmethod
     def own(cls, cause: str, label: str) -> Self:
-        """An effect that the machine has."""
+        """An effect the machine has."""
         return cls("own", cause, label)
 
     @classmethod
@@ -136,7 +136,7 @@ class JacobianColumn:
         group: it belongs to.
         name: in SI results (`stiffness_1`, `coulomb`, `amplitude_N`).
         nominal, scale: p = nominal + scale (theta - 1).
-        machine_theta: value that the machine file states (of an effect under test: 1).
+        machine_theta: value the machine file states (of an effect under test: 1).
         lower, upper: of theta.
         least, most: limits of its identifiability [SI]; None: the bounds.
         step: how far a step of a fit may move it, of an effect's; None: as a number of the base model.
@@ -144,7 +144,7 @@ class JacobianColumn:
         timing: it is a time that force and position are apart.
         proportional: the force is proportional to it, from `none` on.
         none: value [SI] at which its effect is none.
-        times: name of the size of its group that it is multiplied with.
+        times: name of the size of its group it is multiplied with.
     """
 
     group: ParameterGroup
@@ -191,7 +191,7 @@ def extended_machine(structure: ModelStructure) -> Machine:
 
 
 def typical_sizes(machine: Machine) -> dict[str, float]:
-    """Typical values of the base model's numbers that the machine file says 0 of: zero has no scale of its own."""
+    """Typical values of the base model's numbers the machine file says 0 of: zero has no scale of its own."""
     return {
         number.name: number.typical * scales_of(machine).of(number.unit)
         for cause in BASE_CAUSES.values()

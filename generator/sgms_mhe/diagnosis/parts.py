@@ -14,7 +14,7 @@ Outcome = Literal["named", "redundant", "too small", "not significant"]
 
 @dataclass(frozen=True)
 class Rms:
-    """RMS of measured minus simulated friction [N], on the segments that the fit saw and on those it did not."""
+    """RMS of measured minus simulated friction [N], on the segments the fit saw and on those it did not."""
 
     before: float
     after: float
@@ -33,10 +33,10 @@ class Cause:
         std: one standard deviation of each, robust to coloured residuals; NaN where the data do not tell.
         nominal: values of the machine file for a wrong base number, else empty.
         rms: without and with this cause, everything else in place.
-        gain_N: RMS of the force that this cause explains on held-out data.
+        gain_N: RMS of the force this cause explains on held-out data.
         gain_interval_N: 95 % interval of `gain_N` over held-out blocks.
         p_value: of the score test against the model without it, multiplicity included.
-        vague: parameters that the record does not determine.
+        vague: parameters the record does not determine.
         stands_for: the whole, where it is a part and no cause of its own: a curve over speed of another form, which is
             left or named beside it; or a force without a name, which it predicts though it is not certain or changes.
         transfers: whether it holds on the other records; None: there are none, or none of them shows it.
@@ -101,7 +101,7 @@ class RivalFit:
     Attributes:
         name: of the rival.
         instead_of: cause whose place it takes.
-        rms_N, held_out_rms_N: RMS of measured minus simulated friction on the segments that the fit saw, and on those
+        rms_N, held_out_rms_N: RMS of measured minus simulated friction on the segments the fit saw, and on those
             it did not.
         residual_N: measured minus simulated (m), in step with `Traces`.
     """
@@ -125,7 +125,7 @@ class BaseParameter:
 
 @dataclass(frozen=True)
 class RefutedNumber:
-    """A number of the machine file that the record refutes: the file's value, the record's, one standard deviation."""
+    """A number of the machine file the record refutes: the file's value, the record's, one standard deviation."""
 
     name: str
     file: float
@@ -137,7 +137,7 @@ class RefutedNumber:
 class PlainFriction:
     """Residual of Coulomb and viscous friction by least squares, mass and an offset beside them.
 
-    RMS on the segments that the fit saw, on those that it did not, and of the force there [N].
+    RMS on the segments the fit saw, on those that it did not, and of the force there [N].
     """
 
     rms: float

@@ -124,10 +124,10 @@ _MAKERS: Final[Mapping[Move, Callable[[Motion, _Axis], None]]] = {
 
 
 def list_open_causes(path: Path) -> tuple[str, ...]:
-    """Return the causes that the statements in a JSON file leave open, and that a motion would show.
+    """Return the causes the statements in a JSON file leave open, and that a motion would show.
 
     Raises:
-        InputError: the file; it leaves nothing open that a motion shows.
+        InputError: the file; it leaves nothing open a motion shows.
     """
     try:
         statements = json.loads(path.read_text(encoding="utf-8"))["statements"]

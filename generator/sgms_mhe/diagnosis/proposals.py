@@ -1,4 +1,4 @@
-"""Criteria that a search for causes compares a gain with."""
+"""Criteria a search for causes compares a gain with."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ class Proposal:
         parameters: to start its refit from.
         columns: force per unit of its linear sizes on used rows, nuisance projected out (rows used, k).
         coefficients: the sizes (k).
-        energy: sum of squares that it explains [N^2].
+        energy: sum of squares it explains [N^2].
         tests: how many independent trials the search amounts to.
         p_value: robust score test, times `tests`.
         feasible: whether the sizes are physically possible.

@@ -74,7 +74,7 @@ class RecordFit:
         }
 
     def align(self) -> Self:
-        """The same with its record in line with the model, and the noise that its fit leaves."""
+        """The same with its record in line with the model, and the noise its fit leaves."""
         fit = self.fit(self.theta, self.free())
         noise = noise_floor(self.subject.recording, fit.residual)
         return replace(self, subject=replace(align(self.subject, fit), noise=noise))

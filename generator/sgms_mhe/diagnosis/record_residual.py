@@ -19,11 +19,11 @@ from sgms_mhe.support.arrays import Array
 
 @dataclass(frozen=True)
 class MachineResidual:
-    """Residual of a machine along a record that it was not fitted to, in decimated samples.
+    """Residual of a machine along a record it was not fitted to, in decimated samples.
 
     Attributes:
         rms_N: measured minus simulated friction, RMS [N].
-        held_out_N: the same on the third of the record that a diagnosis holds out, RMS [N].
+        held_out_N: the same on the third of the record a diagnosis holds out, RMS [N].
         noise_floor_N: noise of the measured friction, RMS [N].
         rate_Hz: decimated samples per second [Hz].
     """

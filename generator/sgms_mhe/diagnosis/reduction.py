@@ -1,4 +1,4 @@
-"""Backwards: effects, entries of their lists and numbers that a selection can do without."""
+"""Backwards: effects, entries of their lists and numbers a selection can do without."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ Groups = tuple[ParameterGroup, ...]
 def join_map(subject: Subject, fit: Fit, criteria: Criteria) -> Fit:
     """The fit with one map in place of a map and the ripples beside it, where it has no more numbers and is as good.
 
-    A search adds one effect after the other: of a map whose first sine is by far the strongest it adds that one as a
+    A search adds one effect after the other: of a map whose first sine is by far the strongest it adds one as a
     ripple, and the rest as a map of another period.
     """
     mapped = [e for e in fit.effects if isinstance(effect_definition(e.name).search, Periodic)]
@@ -69,7 +69,7 @@ def reduce_orders(effect: CandidateEffect) -> CandidateEffect:
 def prune_effects(
     subject: Subject, fit: Fit, criteria: Criteria, *, refitted: Sequence[ParameterGroup] | None = None, least: int = 0
 ) -> Fit:
-    """The fit without effects that the others have made superfluous; `least` effects stay.
+    """The fit without effects the others have made superfluous; `least` effects stay.
 
     `refitted`: groups of the machine's own numbers that are free; None: all. An effect without which there is no model
     of the record is not superfluous.
@@ -180,7 +180,7 @@ def shorten_lists(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequ
 
 
 def _entries(fit: Fit, group: ParameterGroup) -> dict[int, tuple[str, ...]]:
-    """Names of an effect's numbers by the entry of its lists that they are of; empty where it has none."""
+    """Names of an effect's numbers by the entry of its lists they are of; empty where it has none."""
     lists = [p for p in effect_definition(group.cause).parameters if p.array]
     values = fit.effects[group.index].parameters
     count = sum(lists[0].holds(name) for name in values) if lists else 0

@@ -75,20 +75,20 @@ class Diagnosis(Shown):
         seconds: computing time.
         rival_fits: of the alternatives that are rivals.
         undecided: questions open after any record of this motion.
-        encoder_noise_N: RMS of the force that the encoder's noise leaves, where most of the residual of an adequate or
+        encoder_noise_N: RMS of the force the encoder's noise leaves, where most of the residual of an adequate or
             unexplained record is that; else 0.
         standalone: whether the extended machine's file has every table; otherwise it extends the base.
         plain: residual of plain friction on the same data.
-        refuted: numbers of the machine file that the record refutes.
+        refuted: numbers of the machine file the record refutes.
         is_rough: whether the file was far from the record: then the diagnosis began from the record's numbers, which
             are no causes.
-        offset_s: age of the logged force that was taken out, see `in_step`.
+        offset_s: age of the logged force taken out, see `in_step`.
         records: all records where there are several, the first one first.
-        combinations: of causes that the record does not tell apart.
-        learned: part of the residual that no cause accounts for and coordinates of the motion predict.
-        differences: numbers that the records do not agree on; the extended machine has the first one's.
+        combinations: of causes the record does not tell apart.
+        learned: part of the residual no cause accounts for and coordinates of the motion predict.
+        differences: numbers the records do not agree on; the extended machine has the first one's.
         written: errors of the machine's file and of the extended one along each record.
-        refit: numbers that the extended machine has by its motion; None where the force says all of them.
+        refit: numbers the extended machine has by its motion; None where the force says all of them.
     """
 
     machine: Machine
@@ -165,7 +165,7 @@ class Diagnosis(Shown):
         return self.state_cause(cause).sure == "yes"
 
     def find_combination(self, cause: Cause) -> KnownCombination | None:
-        """Return the combination with another cause that is known in place of its own numbers, if there is one."""
+        """Return the combination with another cause known in place of its own numbers, if there is one."""
         return next((known for known in self.combinations if cause.label in known.causes), None)
 
     @property
@@ -187,7 +187,7 @@ class Diagnosis(Shown):
 
     @property
     def said(self) -> tuple[Statement, ...]:
-        """Return the statements but those on numbers of the base model that a refit leaves, for terminal and file."""
+        """Return the statements but those on numbers of the base model a refit leaves, for terminal and file."""
         return tuple(statement for statement in self.statements if statement.rule is not Rule.REFITTED)
 
     def _state(
@@ -244,7 +244,7 @@ class Diagnosis(Shown):
                 yield self._state(Rule.RIVAL, f"{a.instead_of} or {a.name}", math.nan, move, **names)
 
     def state_cause(self, cause: Cause) -> Statement:
-        """Return the statement on a named cause: the gravest doubt, or the force that it explains."""
+        """Return the statement on a named cause: the gravest doubt, or the force it explains."""
         asked = {t.label for record in self.records[:1] for t in record.causes}  # the first too: they are of all
         doubts = {
             Rule.UNEQUAL: any(one.group.name == cause.label for one in self.differences),

@@ -81,7 +81,7 @@ class _RivalPlace:
         without: without it.
         effects: effects under test that stay, as they are beside it.
         refitted: groups of the machine's own numbers that stay free without it.
-        gain: RMS of the force that it explains [N].
+        gain: RMS of the force it explains [N].
         ranked: candidates for it, the most promising first.
     """
 
@@ -240,7 +240,7 @@ def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[ParameterGr
 
 
 def _judge(subject: Subject, place: _RivalPlace, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
-    """A refitted candidate against the cause whose place it took, and the RMS that it leaves more [N]."""
+    """A refitted candidate against the cause whose place it took, and the RMS it leaves more [N]."""
     judgement, excess = _compare(subject, place, name, trial, criteria)
     log_decision(
         "rivals",
@@ -334,7 +334,7 @@ class Selection:
         refitted: groups of the machine's own numbers that are free.
         scores: of all rounds.
         rivals: of the causes.
-        rejected: candidates that were put in a cause's place and lost.
+        rejected: candidates put in a cause's place and lost.
         p_values: of each cause.
         unnamed: those of `refitted` that are no cause: free because something else is left, not because they are wrong.
         inconstant: names of candidates that are no cause because their size changes over the record.

@@ -203,7 +203,7 @@ class Searched:
         criteria: from now on.
         scores: of all rounds.
         seen: effects that ever looked good.
-        left_out: those of them whose model is not finite at the numbers that it was fitted with.
+        left_out: those of them whose model is not finite at the numbers it was fitted with.
     """
 
     laws: Laws

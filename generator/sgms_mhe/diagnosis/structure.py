@@ -35,7 +35,7 @@ class ResidualStructure:
         peak: coordinate of its maximum.
         centres: bins (k).
         mean_N: residual's mean in each bin (k); for frequency its amplitude spectrum [N].
-        encoder_N: `rms_N` of the force that the encoder's steps leave; 0 where they do not show, and for frequency.
+        encoder_N: `rms_N` of the force the encoder's steps leave; 0 where they do not show, and for frequency.
     """
 
     coordinate: str
@@ -48,7 +48,7 @@ class ResidualStructure:
 
 
 def structure_map(recording: Recording, residual: Array, encoder: Array | None = None) -> tuple[ResidualStructure, ...]:
-    """All maps of a residual (m) on the used rows; `encoder`: force that the encoder's steps leave (m)."""
+    """All maps of a residual (m) on the used rows; `encoder`: force the encoder's steps leave (m)."""
     found = [_binned(recording, residual, name, x) for name, x in _coordinates(recording).items()]
     if encoder is not None and recording.noise is not None and recording.unfiltered is not None:
         # An acceleration that is read wrong is wrong in the measured friction too, so that the one goes with the other.
@@ -88,7 +88,7 @@ def leaves_curve(
         residual: measured minus model (m) [N].
         floor: noise of the measured friction [N].
         material: RMS gain that matters [N].
-        encoder: force that the encoder's steps leave (m) [N], whose own curve is none of the axis; None: none shows.
+        encoder: force the encoder's steps leave (m) [N], whose own curve is none of the axis; None: none shows.
     """
     if find_steady_blocks(recording) is not None:
         return False

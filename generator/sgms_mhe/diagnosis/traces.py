@@ -13,7 +13,7 @@ class Traces:
     force [N], friction measured [N], simulated by the machine as it is, with refitted base parameters and no new
     effect, and by the extended model (parameters of all data); `held_out_fit_N` is the extended model fitted without
     the held-out segments.
-    `used`: enters fits and numbers; `held_out`: not seen by the fit that the gains are computed from.
+    `used`: enters fits and numbers; `held_out`: not seen by the fit the gains are computed from.
     """
 
     time_s: Array

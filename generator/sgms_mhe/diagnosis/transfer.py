@@ -131,7 +131,7 @@ def _holds(cause: Cause, records: Sequence[JudgedRecord], together: bool) -> boo
     """Return True if a cause holds on records by the numbers of the others, False if not; None: too few show it.
 
     Of the first record it holds where one of the further ones confirms and none refutes it. Of all records together it
-    may be weak on each: it gains on all of them as one, and none refutes it; a cause that one alone shows says nothing
+    may be weak on each: it gains on all of them as one, and none refutes it; a cause one alone shows says nothing
     of the others.
     """
     shown = [t for record in records for t in record.causes if t.label == cause.label and t.is_shown]
@@ -144,7 +144,7 @@ def _holds(cause: Cause, records: Sequence[JudgedRecord], together: bool) -> boo
 
 @dataclass(frozen=True, eq=False)
 class _AxisRecord:
-    """A record along the extended machine of a diagnosis, counted from the origin that it tells.
+    """A record along the extended machine of a diagnosis, counted from the origin it tells.
 
     Attributes:
         name: source of its log.

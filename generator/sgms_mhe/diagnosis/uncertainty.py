@@ -63,7 +63,7 @@ def noise_residual(recording: Recording, fit: Fit, theta: Array) -> Array:
 
 
 def inertial_noise(recording: Recording) -> Array:
-    """Force that the encoder's noise makes of the acceleration (m) [N]: as large as in measured friction."""
+    """Force the encoder's noise makes of the acceleration (m) [N]: as large as in measured friction."""
     noise = add_noise(recording).signals.acceleration - recording.signals.acceleration
     return recording.reduce(recording.inertia * noise)
 
@@ -89,7 +89,7 @@ class NumberErrors:
     Attributes:
         information: joint one of the used rows and priors (free, free).
         noise: covariance by noise, and by the model's error here or there (free, free).
-        shifts: changes that the same error makes in every record (k, free): by the law, by the encoder's noise, by its
+        shifts: changes the same error makes in every record (k, free): by the law, by the encoder's noise, by its
             steps.
         timing: deviation of numbers that are a time between force and position (free).
     """
@@ -126,7 +126,7 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     Noise and the model's error anywhere (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR
     of that, which it may hide; the law's error, alike at every reversal (`_law`); the effect of the encoder's
     noise (`_noise`) and its steps (`_shift_by_steps`) on the numbers; and of a delay or lag, the timing of force
-    against position that no log is sure of.
+    against position no log is sure of.
 
     Args:
         subject: machine and record of the fit.
@@ -214,7 +214,7 @@ def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
 
 
 def _shift_by_steps(subject: Subject, X: Array, inverse: Array) -> Array:
-    """Return the change of the free parameters by the force that the encoder's steps leave, of X (m, free).
+    """Return the change of the free parameters by the force the encoder's steps leave, of X (m, free).
 
     Where elements stick a step is a force, and the elements' trajectory between the steps comes out too smooth, at
     every reversal the same way: no average over blocks sees that. Other lines do as much once more.

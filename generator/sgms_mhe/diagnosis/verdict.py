@@ -112,7 +112,7 @@ def _diagnose_again(
     held_out_s: Sequence[tuple[float, float]] | None,
     told: ProgressReport,
 ) -> Diagnosis:
-    """Diagnose anew from a start that was identified with the causes still in the record.
+    """Diagnose anew from a start identified with the causes still in the record.
 
     Args:
         file: the log along the machine of the file.
@@ -348,7 +348,7 @@ def _combine_causes(final: FinalFit, judged: Judged) -> tuple[KnownCombination, 
 
 
 def _force_of_noise(final: FinalFit) -> float:
-    """RMS of the force that the encoder's steps, or its noise in the acceleration, leave where nothing was fitted [N].
+    """RMS of the force the encoder's steps, or its noise in the acceleration, leave where nothing was fitted [N].
 
     The larger one.
     """
@@ -368,7 +368,7 @@ def _law_notes(final: FinalFit, plain: Fit) -> tuple[str, ...]:
 
 
 def _estimation_notes(machine: Machine, extended: Machine | None) -> tuple[str, ...]:
-    """Return the remarks on parameters that the machine estimates and the extended one cannot."""
+    """Return the remarks on parameters the machine estimates and the extended one cannot."""
     estimated = machine.estimator.parameters if extended is None else extended.estimator.parameters
     return tuple(
         f"{name}: 0 in the extended machine, which does not estimate it: there is no scale for it"

@@ -42,7 +42,7 @@ def list_alternatives(selection: Selection, units: Units) -> tuple[Alternative, 
 
 
 def _why_not(selection: Selection, name: str, units: Units) -> str:
-    """Why a candidate that was put in a cause's place, or was a cause for a while, is none."""
+    """Why a candidate put in a cause's place, or was a cause for a while, is none."""
     lost = selection.rejected[name]
     if name in {group.cause for group in selection.unnamed}:
         return "refitted with the causes, no cause of its own"

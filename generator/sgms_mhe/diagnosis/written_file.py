@@ -38,7 +38,7 @@ class WrittenError:
 
     @classmethod
     def measure(cls, machine: Machine, written: Machine | None, log: Log) -> Self:
-        """Run the machine and the one that is written along a log (None: none is)."""
+        """Run the machine and the one written along a log (None: none is)."""
         before, force = _run(machine, log)
         after = before if written is None else _run(written, log)[0]
         moved = measure_free_run(machine, log)

@@ -51,7 +51,7 @@ class EquationPrinter(CPrinter):
         return f"{name} = {expression};"
 
     def operation(self, node: Node, arguments: list[str]) -> str | None:
-        """Return the text of a node that the language writes otherwise than C, in parentheses of its own; else None."""
+        """Return the text of a node the language writes otherwise than C, in parentheses of its own; else None."""
         language, op = self._language, node.op
 
         def where(condition: str, value: str, other: str) -> str:
@@ -170,7 +170,7 @@ class Equations:
     Attributes:
         states: name of each state, without a unit; all start at 0.
         lines: `name = expression;`, operands first.
-        values: names that the lines define, in their order.
+        values: names the lines define, in their order.
         rates: name of each state's rate [1/s] among the values.
     """
 

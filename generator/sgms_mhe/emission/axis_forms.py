@@ -245,7 +245,7 @@ def check_title(title: str) -> str:
     """Return the name of a model as it is.
 
     Raises:
-        InputError: no name that every form takes.
+        InputError: no name every form takes.
     """
     if not _IDENTIFIER.fullmatch(title):
         allowed = "a file called by a letter, then letters, digits and underscores: it names the model in it"

@@ -42,7 +42,7 @@ class Ahead:
 
 @dataclass(frozen=True)
 class FeedForward:
-    """Force that an axis feeds forward, and the conditions for it.
+    """Force an axis feeds forward, and the conditions for it.
 
     Attributes:
         moves: of the propagation ahead: over the lag, over the delay.
@@ -50,7 +50,7 @@ class FeedForward:
         over_delay: extrapolation of the velocity to the middle of the delay, per difference between the mean velocity
             over the lag and the filtered one.
         at_end: the same to the end of the delay.
-        gain_step: share that a ramp adds per sample.
+        gain_step: share a ramp adds per sample.
         carry: share of the difference after standstill that remains from one sample to the next.
         limit: largest force [N], or None.
         ahead: constants of the propagation; None where elements switch, which asks for none.
@@ -88,7 +88,7 @@ def compensation_of(machine: Machine) -> FeedForward:
 
 
 def force_limit(machine: Machine) -> float | None:
-    """Largest force [N] fed forward: as stated, or from the friction that the model can have; None: there is none."""
+    """Largest force [N] fed forward: as stated, or from the friction the model can have; None: there is none."""
     stated, friction, estimator = machine.compensation.limit, machine.friction, machine.estimator
     if stated is not None or machine.effects:  # the forces of effects may be of any size
         return stated

@@ -58,7 +58,7 @@ class LastingRule:
     Attributes:
         block: intervals with motion of a block.
         most: a block's square counts no more than so many times its average.
-        forgets: share that a mean over blocks forgets with an interval.
+        forgets: share a mean over blocks forgets with an interval.
         doubted: factor, over the known colour, beyond which the measurements contradict the model.
     """
 
@@ -75,8 +75,8 @@ class Identity:
     Attributes:
         name: prefix of every symbol and file. NAME: the same of constants.
         description: one line about the axis.
-        machine_digest: of the machine file that it was generated from.
-        version: of the generator. runtime_version: of the runtime headers that the templates are written for.
+        machine_digest: of the machine file it was generated from.
+        version: of the generator. runtime_version: of the runtime headers the templates are written for.
         real: C type of its numbers.
         header_digest: eight hexadecimal digits of all that the public header declares; zeros until it is rendered.
     """
@@ -101,11 +101,11 @@ class SignalView:
 
     Attributes:
         mass_in_model: it stands in the model's equations, and not in the signal chain alone.
-        settle: samples that a disturbance of the filters lasts.
+        settle: samples a disturbance of the filters lasts.
         fading: of the error that bridged samples leave, per sample.
         lowpass: (b0, b1, b2, a1, a2).
         slope_weights: of each of the merged samples in the slope of the line through them.
-        read: names of the signals that the estimator depends on, in the order of w.
+        read: names of the signals the estimator depends on, in the order of w.
         of_rows: names of those that the output's derivatives in (x, theta) depend on; of all of its own where
             it is not affine.
         names: of all signals, in the order of w.
@@ -306,7 +306,7 @@ def _split_off_signals(model: Model, kept: Sequence[str]) -> ca.SX:
 
 
 def _signals_read(structure: Structure) -> tuple[str, ...]:
-    """Names of the signals that the estimator's functions depend on; velocity it needs itself."""
+    """Names of the signals the estimator's functions depend on; velocity it needs itself."""
     model = structure.model
     functions = ca.vertcat(*(t.expression for t in structure.sample_terms), model.output, model.feed_forward)
     read = {"velocity", *names_read(functions, model)}

@@ -72,7 +72,7 @@ def _archives(
 ) -> tuple[dict[str, bytes], tuple[str, ...]]:
     """FMUs among the bindings, and of which of them the binary is missing and why.
 
-    The self-test stays outside: it is for the processor that the axis runs on.
+    The self-test stays outside: it is for the processor the axis runs on.
     """
     name = view.package.name
     own = tuple(file for file in delivery.sources if not file.startswith(f"{name}_selftest"))
@@ -103,7 +103,7 @@ def manifest(view: PackageView, files: Mapping[str, str], archives: Mapping[str,
 
 
 def manifest_files(text: str) -> frozenset[str]:
-    """Names of the files that a manifest lists, itself included; none where it is no manifest of a package."""
+    """Names of the files a manifest lists, itself included; none where it is no manifest of a package."""
     try:
         content = json.loads(text)
     except ValueError:
@@ -123,7 +123,7 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path) -> None:
     The folder is replaced in one move, so an interruption leaves the old one or the new one.
 
     Raises:
-        InputError: the folder cannot be written, or holds files that no package emits.
+        InputError: the folder cannot be written, or holds files no package emits.
     """
     parent = folder.parent
     foreign = _foreign(folder) if folder.is_dir() else []

@@ -116,7 +116,7 @@ class Graph:
         `vectors` are the input vectors by name and `labels` the names of their elements.
 
         Raises:
-            InputError: the expression holds an operation that has no C counterpart.
+            InputError: the expression holds an operation with no C counterpart.
         """
         names = list(vectors)
         f = ca.Function("f", [vectors[n] for n in names], [ca.densify(outputs)], {"cse": True})

@@ -61,7 +61,7 @@ class _Type:
 
 
 def memory_of(files: Mapping[str, str], name: str, real: str) -> Memory:
-    """Bytes that the emitted files of a package declare.
+    """Bytes the emitted files of a package declare.
 
     Args:
         files: text by file name.
@@ -142,5 +142,5 @@ def _struct(body: str, types: Mapping[str, _Type], constants: Mapping[str, int])
 
 
 def _tables(text: str, types: Mapping[str, _Type], constants: Mapping[str, int]) -> int:
-    """Bytes of the constant arrays that a file defines."""
+    """Bytes of the constant arrays a file defines."""
     return sum(types[kind].size * _count(size, constants) for kind, _, size in _TABLE.findall(text) if kind in types)

@@ -51,7 +51,7 @@ def emit_package(
         selftest: with the self-test vectors, for which the reference solver has to run.
         within_budget: refuse a machine whose longest tick takes more operations than its budget.
         amalgamate: all C in one source and one header.
-        bindings: languages and tools that the package is to be called from besides, of `BINDINGS`.
+        bindings: languages and tools the package is to be called from besides, of `BINDINGS`.
 
     Raises:
         InputError: the machine asks for something that cannot be emitted; the message names it.
@@ -83,7 +83,7 @@ def emit_model(model: Model) -> Package:
 
 
 def _runtime(view: PackageView) -> dict[str, str]:
-    """The runtime headers that a package includes."""
+    """The runtime headers a package includes."""
     names = RUNTIME_HEADERS + (("sgms_flow.h",) if view.flow is not None else ())
     names += ("sgms_table.h",) if view.tables else ()
     return {name: (runtime_dir() / name).read_text(encoding="utf-8") for name in names}
@@ -95,6 +95,6 @@ def write_package(package: Package, folder: Path) -> None:
     The folder is replaced in one move, so an interruption leaves the old one or the new one.
 
     Raises:
-        InputError: the folder cannot be written, or holds files that no package emits.
+        InputError: the folder cannot be written, or holds files no package emits.
     """
     write_folder({**package.files, **package.archives}, folder)

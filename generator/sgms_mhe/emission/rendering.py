@@ -61,7 +61,7 @@ class _Literals(Extension):
 def render(view: PackageView, *, model_alone: bool = False) -> dict[str, str]:
     """The emitted C of a package, by file name; `view` as `stamp_digest`.
 
-    `model_alone`: the headers that a model runs by without its estimator, their lines as long as they come.
+    `model_alone`: the headers a model runs by without its estimator, their lines as long as they come.
     """
     name = view.package.name
     files = {

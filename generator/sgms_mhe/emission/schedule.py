@@ -10,7 +10,7 @@ from sgms_mhe.emission.variant import Variant
 
 @dataclass(frozen=True)
 class Costs:
-    """Work in multiplications or so: of one unit of each kind, and of the units that one sample does at most.
+    """Work in multiplications or so: of one unit of each kind, and of the units one sample does at most.
 
     Attributes:
         expand: the node of an older interval from its successor's.

@@ -1,4 +1,4 @@
-"""Motion of the self-test in whole numbers, which every processor adds up alike, and the log that it makes."""
+"""Motion of the self-test in whole numbers, which every processor adds up alike, and the log it makes."""
 
 import math
 from dataclasses import dataclass

@@ -70,11 +70,11 @@ class Sizes:
         vector: scalars in the widest vector register that is made use of. half_vector: in one of half the size.
         lane_stride: scalars side by side: intervals of one block, or blocks of one interval, padded to whole vectors.
         series_stride: numbers of a row of the series side by side, where older intervals are integrated so.
-        series_signals: names of the signals that the sample terms are functions of.
+        series_signals: names of the signals the sample terms are functions of.
         samples: per interval. merged: samples per step of the series. steps: of the series, per interval.
         nodes: of a step of the series, at which its signals are given. terms: sample terms of a node.
         coupled: states that a state depends on over an interval, at most.
-        entered: parameters that a state depends on over an interval, at most.
+        entered: parameters a state depends on over an interval, at most.
         block_states: states of each block, group by group.
         groups: sizes of each group.
         least_substeps: Runge-Kutta substeps of a step of the series, at least.
@@ -117,7 +117,7 @@ class Sizes:
 
     @property
     def series_rows(self) -> int:
-        """Numbers that a step of one interval is known by: its signals, or their means and slopes."""
+        """Numbers a step of one interval is known by: its signals, or their means and slopes."""
         return len(self.series_signals) * (2 if self.merged > 1 else 1)
 
     @property
@@ -183,7 +183,7 @@ def sizes_of(structure: Structure, variant: Variant, couplings: Couplings) -> Si
 
 
 def names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
-    """Names of the signals that an expression depends on, in the order of w."""
+    """Names of the signals an expression depends on, in the order of w."""
     depends = ca.which_depends(expression, model.w)
     return tuple(name for name, does in zip(model.signal_names, depends, strict=True) if does)
 

@@ -102,7 +102,7 @@ class Group:
 
 @dataclass(frozen=True)
 class SampleTerm:
-    """A function of the signals alone that is stored with every step of the series; `expression` is SX of w."""
+    """A function of the signals alone stored with every step of the series; `expression` is SX of w."""
 
     name: str
     expression: ca.SX
@@ -146,7 +146,7 @@ def upstream_states(model: Model, states: Sequence[int]) -> tuple[int, ...] | No
     """The states of a block beside its first, where that is a Maxwell-slip element and they leave it its flow.
 
     They must be effects' states that each obey a linear equation of their own: constant through a step, signals then
-    move them in closed form, and the element sees the level that they reach. None where the block is of another kind.
+    move them in closed form, and the element sees the level they reach. None where the block is of another kind.
     """
     if model.states[states[0]].element is None or any(model.states[i].element is not None for i in states[1:]):
         return None

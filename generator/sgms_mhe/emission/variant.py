@@ -1,4 +1,4 @@
-"""Kind of package of a machine: pieces of code that come or stay away, and the statuses that it states."""
+"""Kind of package of a machine: pieces of code that come or stay away, and the statuses it states."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ class Variant:
 
 
 def variant_of(model: Model) -> Variant:
-    """The choices that a machine and its model ask for."""
+    """The choices a machine and its model ask for."""
     machine = model.machine
     sampling, estimator = machine.sampling, machine.estimator
     horizon = estimator.horizon if estimator.kind == "mhe" else 0

@@ -1,4 +1,4 @@
-"""Consistency of machine files, the packages that were generated from them, and compilers.
+"""Consistency of machine files, the packages generated from them, and compilers.
 
 For whoever keeps machine files and packages in a repository of their own: a changed file without its package, another
 version of the generator, a compiler that breaks the arithmetic are found before they reach an axis.
@@ -69,7 +69,7 @@ class _Course:
     checks: list[Check] = field(default_factory=list)
 
     def check(self, name: str, made: Callable[[], T]) -> T | None:
-        """Make a check, and return its result; an error that a user can mend is its failure, and None is returned."""
+        """Make a check, and return its result; an error a user can mend is its failure, and None is returned."""
         self.progress(f"{self.machine}: {name}")
         started, failure, result = time.monotonic(), "", None
         try:
@@ -90,7 +90,7 @@ def accept(source: str, generated: Path, targets: Sequence[str], progress: Progr
     Args:
         source: its file, or its name in machines/.
         generated: folder of the packages that were generated, each in a folder of its machine's name.
-        targets: names of emulated microcontrollers that the self-test runs on.
+        targets: names of emulated microcontrollers the self-test runs on.
         progress: told of each check.
     """
     course = _Course(Path(source).stem, progress)
@@ -137,7 +137,7 @@ def _counts(checks: Sequence[Check]) -> dict[str, str]:
 
 
 def _same_files(package: Package, folder: Path) -> None:
-    """The folder equals the package of the file, byte for byte; with the bindings that it has files of."""
+    """The folder equals the package of the file, byte for byte; with the bindings it has files of."""
     name = package.machine.name
     remedy = f"sgms-mhe generate {package.machine.source} --out {folder}"
     if not folder.is_dir():
@@ -156,7 +156,7 @@ def _same_files(package: Package, folder: Path) -> None:
 
 
 def _archives(package: Package, present: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Archives that the package is to have, and the manifest with their digests.
+    """Archives the package is to have, and the manifest with their digests.
 
     A binary inside of one is another compiler's where another host has made it: an archive that is the same but for its
     binaries is taken as it is present.

@@ -1,4 +1,4 @@
-"""The model alone along a measured motion: friction that it says against friction that was measured."""
+"""The model alone along a measured motion: friction it says against friction that was measured."""
 
 import math
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ class PredictedFriction(Shown):
 
     time [s]; measured [N], NaN where it is no measurement; friction [N] of the model at the machine file's parameters,
     which starts with all elements relaxed; drive force [N] behind the same filters; `source` names the log. Of a
-    rotary axis torques [N m]; `kind` says which it is. `motion`: from force or command alone, where that was asked for;
+    rotary axis torques [N m]; `kind` says which it is. `motion`: from force or command alone, where asked for;
     of a log without a force it is all, and frictions are NaN.
     """
 

@@ -1,4 +1,4 @@
-"""Forces that a simpler form of an axis loses along a measured motion."""
+"""Forces a simpler form of an axis loses along a measured motion."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ PRESLIDING: Final = "presliding and rest"
 
 @dataclass(frozen=True)
 class LostForce:
-    """A force of the axis that a form does not hold, or not whole, over the valid samples of a log.
+    """A force of the axis a form does not hold, or not whole, over the valid samples of a log.
 
     Attributes:
         name: an effect's label, or a part of the law: `PRESLIDING`, `STRIBECK`, `MICRO_VISCOUS`.
@@ -65,7 +65,7 @@ class FormError:
 
 
 def form_error(machine: Machine, written: WrittenAxis, log: Log) -> FormError | None:
-    """Compare the friction that a form holds with the model's along the motion in a log, force by force.
+    """Compare the friction a form holds with the model's along the motion in a log, force by force.
 
     The force of an effect, or of the Stribeck effect, is the model's friction minus that of the model without it; the
     share of it that a form has as inertia is not lost. Presliding is the force of the law without all these; its loss

@@ -56,13 +56,13 @@ def status_words(status: int) -> str:
 
 
 class Trend:
-    """Rows of numbers over a whole run, as points that each stand for as many of them: for more and more of them.
+    """Rows of numbers over a whole run, as points each stand for as many of them: for more and more of them.
 
     Args:
         greatest: which numbers a point has the greatest of (k,); of the others it has the last.
 
     Attributes:
-        every: rows that a point stands for.
+        every: rows a point stands for.
     """
 
     def __init__(self, greatest: Mask) -> None:
@@ -175,7 +175,7 @@ class RunSummary:
 
     @property
     def open_numbers(self) -> dict[str, str]:
-        """Motion that each parameter needs of which the run has told little beyond its prior, by their columns."""
+        """Motion each parameter needs of which the run has told little beyond its prior, by their columns."""
         if self.latest is None:
             return {}
         told = self.latest.std[0] <= TOLD * self._prior

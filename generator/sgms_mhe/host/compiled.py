@@ -139,7 +139,7 @@ class CompiledEstimator:
         machine: the machine file.
         package: its package, if it was generated already.
         flags: compiler flags.
-        model: the model that the package was generated from, where that is not the machine's own.
+        model: the model the package was generated from, where that is not the machine's own.
         beside: C files of the caller that are compiled into `library`; they may include `replay.h`.
 
     Raises:

@@ -33,7 +33,7 @@ class Sources:
 
     Attributes:
         files: content by path below the tree it is part of (`package/...`, `templates/...`, `runtime/...`).
-        libraries: version of every library that the modules among them import. CasADi decides which expressions are
+        libraries: version of every library the modules among them import. CasADi decides which expressions are
             simplified and shared, Jinja2 lays out, the numerical ones decide the digits of tables and vectors.
     """
 
@@ -89,7 +89,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _imports(content: bytes) -> set[str]:
-    """Modules that a Python file imports, those of its own folder by relative names left out."""
+    """Modules a Python file imports, those of its own folder by relative names left out."""
     names = {(first or second).decode() for first, second in _IMPORT.findall(content)}
     return {name for name in names if not name.startswith(".")}
 

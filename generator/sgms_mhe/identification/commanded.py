@@ -1,6 +1,6 @@
-"""Identification of a commanded axis: the motion that its commands alone make, over several runs at once.
+"""Identification of a commanded axis: the motion its commands alone make, over several runs at once.
 
-No force was recorded, so the fit is one of output error. Loads that the runs state tell inertia and torque apart.
+No force was recorded, so the fit is one of output error. Loads the runs state tell inertia and torque apart.
 """
 
 import math
@@ -57,7 +57,7 @@ def identify_drive(logs: Sequence[Log], name: str, like: Machine | None, report:
     """Fit drive, inertia and friction of a commanded axis to the motion of its runs.
 
     Args:
-        logs: without a force, each with the load that it states, or the one of `like`.
+        logs: without a force, each with the load it states, or the one of `like`.
         name: of the machine.
         like: machine with a [drive]; its torque_constant and resistance stay. Without one the logs are runs that state
             load, gain and supply, and the clamp is 1: without the torque constant nothing tells it apart.
@@ -223,7 +223,7 @@ class _FreeRuns:
         self.starts = [s for _, s in run_parallel([partial(self._run, k, x, ()) for k in range(len(self.records))])]
 
     def fit(self, x: Array, most: int, outlying: float) -> Any:
-        """Return the least squares from these coordinates, with the starts that they say."""
+        """Return the least squares from these coordinates, with the starts they say."""
         x = np.clip(x, self.bounds[0] + 1e-9, self.bounds[1] - 1e-9)
         self.begin(x)
 

@@ -41,7 +41,7 @@ def add_companions(
     gains no more.
 
     Every one begins from the shape of the fit with all of them: elements that had to stand for gravity are none to
-    begin from. An effect that the motion does not excite counts beside a simpler one that it does: over a short way it
+    begin from. An effect the motion does not excite counts beside a simpler one that it does: over a short way it
     may be either.
 
     Returns:
@@ -133,7 +133,7 @@ def _drop_replaced(view: RecordView, fit: AxisFit, newest: str) -> AxisFit:
 
 
 def _ripples(name: str) -> tuple[str, ...]:
-    """The sines over the position that an effect is confused with."""
+    """The sines over the position an effect is confused with."""
     searches = {other: effect_definition(other).search for other in effect_definition(name).confused_with}
     return tuple(
         other for other, search in searches.items() if isinstance(search, Harmonic) and search.coordinate == "position"
@@ -206,7 +206,7 @@ def carry_load(view: RecordView, fit: AxisFit) -> RecordView:
 
 
 def renew_columns(terms: Sequence[Term], renewed: Sequence[Term]) -> tuple[Term, ...]:
-    """Return terms, those of the level and of its records with the columns that they have among the renewed ones."""
+    """Return terms, those of the level and of its records with the columns they have among the renewed ones."""
     found = {(term.name, *term.given.values()): term.columns for term in renewed}
     return tuple(
         replace(term, columns=found[term.name, *term.given.values()][:, : term.columns.shape[1]])

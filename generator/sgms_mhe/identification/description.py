@@ -45,12 +45,12 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
     """Refuse records that stay below break-away: no level is seen in them, and any would do.
 
     An element that never breaks away is a spring over the travel. So a spring counts as one, unless the motion is such
-    that it shows springs. It counts by the force that it surely makes: its stiffness less two deviations.
+    that it shows springs. It counts by the force it surely makes: its stiffness less two deviations.
 
     Args:
         view: the records.
         final: fit of all of them.
-        shown: effects that the motion can show.
+        shown: effects the motion can show.
         source: of the refusal.
 
     Raises:
@@ -92,7 +92,7 @@ class FrictionError(InputError):
 
     Attributes:
         left: residual of the fit behind it [N]; inf: that without dry friction is.
-        unseen: numbers that it says are open.
+        unseen: numbers it says are open.
     """
 
     left: float = math.inf
@@ -148,7 +148,7 @@ def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Numb
 
 
 def _doubt(number: Number) -> Number:
-    """Return a number that the records do not show, whatever its deviation."""
+    """Return a number the records do not show, whatever its deviation."""
     return replace(number, rule=Rule.STAND_IN) if number.determined else number
 
 
@@ -249,7 +249,7 @@ def list_limits(
 ) -> Iterator[Statement]:
     """Yield the open questions of the records, with the move that would answer each.
 
-    `unexcited`: numbers that the motion cannot show (`list_unexcited`).
+    `unexcited`: numbers the motion cannot show (`list_unexcited`).
     """
     length, speed = units.position, units.velocity
     if not found.decided and found.other is not found.fit:
@@ -305,7 +305,7 @@ def list_misfit(residual: float, floor: float, units: Units) -> Iterator[Stateme
     """Yield the statement on a residual well above the noise: intervals hold where it has no pattern.
 
     Args:
-        residual: on data that no fit has seen [N, N m].
+        residual: on data no fit has seen [N, N m].
         floor: noise of the measured friction [N, N m].
         units: of the axis.
     """

@@ -142,7 +142,7 @@ def least_distance(law: Law, rise: Stribeck, rate: float) -> float:
 
 
 def _nominal(law: Law, velocity: float) -> float:
-    """Stribeck velocity that an element is compiled for.
+    """Stribeck velocity an element is compiled for.
 
     Not below its own, or a smooth one would be taken for slipping freely too early. Elements that switch are exact
     whatever it is.

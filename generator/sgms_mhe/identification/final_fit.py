@@ -1,4 +1,4 @@
-"""From the elements that were chosen to the numbers that are reported: only numbers the records show stay in."""
+"""From the elements chosen to the numbers that are reported: only numbers the records show stay in."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -145,7 +145,7 @@ def make_final_fit(
         base: viscous, inertial and sampling terms.
         companions: effects that may stand beside the elements, but for those of their level.
         curves: curves over speed of any shape, few numbers first.
-        excited: names of the effects that the motion excites, those of the level too.
+        excited: names of the effects the motion excites, those of the level too.
         wanted: by the caller.
         report: called with each step.
     """
@@ -261,7 +261,7 @@ def _square_change(view: RecordView, fit: AxisFit, rival: AxisFit) -> Array:
 def _fit_finely(views: Views, fit: AxisFit, law: Law) -> tuple[Views, AxisFit]:
     """The fit at the full rate under a law, the load of the level taken from it until that does not change.
 
-    And the views that it is of: elements carry the level added by a load.
+    And the views it is of: elements carry the level added by a load.
     """
     fit = fit_axis(views.fine, fit.terms, replace(fit.shape, law=law), iterations=FINAL_ITERATIONS)
     renewed = any(is_level(term) or term.name == LEVEL_OF_RECORD for term in fit.terms)
@@ -280,7 +280,7 @@ def _renew_levels(views: Views, fit: AxisFit) -> tuple[Term, ...]:
 
 
 def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
-    """The fit without elements of next to no level that it is not sure of, and without springs that may be none.
+    """The fit without elements of next to no level it is not sure of, and without springs that may be none.
 
     An element beyond the travel is a spring to the record: its level is open, and would make the Coulomb level so.
     """

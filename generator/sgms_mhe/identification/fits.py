@@ -120,7 +120,7 @@ class AxisFit(FitLoss):
         return np.asarray(self.jacobian[:, count : 2 * count])
 
     def sliding(self, velocity: Array) -> Array:
-        """Force of the elements over the level that they slip at, at these velocities (m) [m/s]: -1 to 1 (m)."""
+        """Force of the elements over the level they slip at, at these velocities (m) [m/s]: -1 to 1 (m)."""
         rise, coulomb = self.shape.rise or NO_RISE, self.coulomb
         level = coulomb * (1.0 + rise.ratio * np.exp(-((velocity / rise.velocity) ** 2)))
         force = self.elements @ self.levels
@@ -259,7 +259,7 @@ def noise_share(view: RecordView, fit: AxisFit) -> float:
 
 
 def largest_noise_bias(view: RecordView, fit: AxisFit, name: str) -> float:
-    """Return the largest size of a term of one column that the encoder's noise in the measured friction can make.
+    """Return the largest size of a term of one column the encoder's noise in the measured friction can make.
 
     By Cauchy and Schwarz: that noise over the part of the term's no other column explains, root mean squares.
     """
@@ -281,7 +281,7 @@ def fit_axis(
         view: records at some rate.
         terms: linear ones beside the elements.
         start: law, distances, rise; missing ones are not looked for.
-        seen: rows that the fit sees (m); None: all used ones.
+        seen: rows the fit sees (m); None: all used ones.
         iterations: at most.
     """
     widths, columns = [t.columns.shape[1] for t in terms], np.column_stack([t.columns for t in terms])
@@ -401,9 +401,9 @@ def _measure_excess(rows: Recording, fit: AxisFit) -> float:
 
 
 def encoder_forces(view: RecordView, fit: AxisFit) -> list[Array]:
-    """Return the forces that the encoder's steps leave in a residual (m) [N], of each misread way; none: no steps.
+    """Return the forces the encoder's steps leave in a residual (m) [N], of each misread way; none: no steps.
 
-    As of a diagnosis: mass times the acceleration that they make, and friction along the trajectory that they make.
+    As of a diagnosis: mass times the acceleration they make, and friction along the trajectory they make.
     """
     if view.steps_inertia is None:
         return []

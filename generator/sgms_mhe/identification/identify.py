@@ -100,7 +100,7 @@ class Explored:
         plain_rms: residual of a file of least squares on data unseen by any fit [N]; NaN: not computed.
         is_plain: whether this is that of least squares.
         said: statements on the two.
-        unseen: numbers of the law that the records do not show, whatever their deviation.
+        unseen: numbers of the law the records do not show, whatever their deviation.
     """
 
     records: Records

@@ -1,4 +1,4 @@
-"""Offset, level, damping and moved mass of each of several records beside a fit that has their means."""
+"""Offset, level, damping and moved mass of each of several records beside a fit with their means."""
 
 from collections.abc import Sequence
 from dataclasses import replace

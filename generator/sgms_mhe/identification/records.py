@@ -105,7 +105,7 @@ class Records:
         whole: the same with those at which the axis stands, as predict has them; None: `rows` are all.
         coarse: motion behind the filters at the rate of the rows, a log each.
         fine: the encoder's motion at the logs' rate, a log each.
-        steps_inertia: force of the acceleration that the encoder's steps make (m) [N]; None where they do not show.
+        steps_inertia: force of the acceleration the encoder's steps make (m) [N]; None where they do not show.
         misread: the motion without the encoder's steps (`smooth_blocks`), and as each of ENCODERS encoders of these
             steps, their lines elsewhere, reads that, a log each; none where no steps show.
         thinned: `fine` through every second sample, the even ones and the odd ones, a log each.
@@ -212,7 +212,7 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
 def _find_stands(recording: Recording, log: Log) -> Mask:
     """Rows (m) that the chain makes of samples at which the axis stands within a count of its encoder.
 
-    Friction there is anything within the level, by a motion that the log does not have: no column explains it.
+    Friction there is anything within the level, by a motion the log does not have: no column explains it.
     """
     position, settle = readings(log).position_m, settle_samples(recording.machine)
     step = encoder_step(position)

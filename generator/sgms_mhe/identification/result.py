@@ -35,7 +35,7 @@ class Number:
         value: SI; the default where the records do not determine it.
         std: one standard deviation; NaN where the number is a default or was given.
         rule: by which it is determined, or why not.
-        words: numbers and names that the rule's text takes.
+        words: numbers and names the rule's text takes.
         next: move that would determine it.
     """
 
@@ -88,7 +88,7 @@ class Identification(Shown):
         law_decided: whether the records tell the laws apart.
         warnings: to the user about the logs.
         rms_N: residual of all rows.
-        held_out_rms_N: on a third of the blocks that the fit had not seen.
+        held_out_rms_N: on a third of the blocks the fit had not seen.
         stated_rms_N: the same without errors of timing, which a machine file does not state.
         plain_rms_N: the same of least squares of mass, Coulomb and viscous friction and forces over the place.
         is_plain: whether its residual was smaller, and the machine has it.

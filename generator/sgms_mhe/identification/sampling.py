@@ -130,7 +130,7 @@ def replace_filter(machine: Machine, logs: Sequence[Log]) -> tuple[Machine, tupl
     mass larger. Not where an axis goes one way: there the mass takes up friction.
 
     Args:
-        machine: with the low-pass that was asked for, and the mass behind it.
+        machine: with the low-pass asked for, and the mass behind it.
         logs: whose motion shows a mass.
     """
     if not any(map(_goes_both_ways, logs)):
@@ -219,7 +219,7 @@ def name_all(sources: Sequence[str]) -> str:
 
 
 def _fit_mass(machine: Machine, logs: Sequence[Log]) -> float:
-    """Return the mass that the motion asks for [kg, kg m^2], whatever its sign."""
+    """Return the mass the motion asks for [kg, kg m^2], whatever its sign."""
     columns, forces = [], []
     for log in logs:
         rows = prepare(machine, log)

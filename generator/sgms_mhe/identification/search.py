@@ -72,7 +72,7 @@ class ChosenModel:
 
     @property
     def quickest(self) -> AxisFit:
-        """Fit that further choices are made beside: of laws that the records do not tell apart, elements that switch.
+        """Fit that further choices are made beside: of laws the records do not tell apart, elements that switch.
 
         A run of these takes a step a sample, of smooth ones up to a hundred.
         """
@@ -105,7 +105,7 @@ def align(views: Views, anchor: AxisFit) -> RecordView:
 def search(
     views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: int | None, report: Progress
 ) -> ChosenModel:
-    """The law and the elements that the records show.
+    """The law and the elements the records show.
 
     Args:
         views: the records.

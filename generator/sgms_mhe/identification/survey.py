@@ -48,10 +48,10 @@ class Survey:
 
     Attributes:
         explored: the fit, as an identification goes on from.
-        wanted: request that it answers.
+        wanted: request it answers.
         logs: in the order of their content.
         numbers: of the axis, with intervals, but those of elements, which depend on a law that nothing here decides;
-            a mass that the motion does not show is NaN.
+            a mass the motion does not show is NaN.
         others: statements on sign, noise, residual and open questions.
     """
 
@@ -72,7 +72,7 @@ class Survey:
         return (*(number.state(self.units) for number in self.numbers), *self.others)
 
     def describe(self, report: Progress) -> Identification:
-        """Return the numbers with the machine file that they make.
+        """Return the numbers with the machine file they make.
 
         Raises:
             InputError: a mass that nobody gave, and that the motion does not show.

@@ -49,9 +49,9 @@ class Term:
         columns: on all rows (m, k).
         positive: whether the coefficients are at least 0; otherwise free in sign.
         deviation: of a prior about 0, in the coefficients' units; inf: none.
-        given: numbers of an effect that its columns are not linear in.
+        given: numbers of an effect its columns are not linear in.
         noise: variance of noise in the columns [their unit squared]; the measured friction holds -`known` times it.
-        known: size that the measured friction has taken off already [coefficients' unit].
+        known: size the measured friction has taken off already [coefficients' unit].
     """
 
     name: str
@@ -144,12 +144,12 @@ class KnownFriction:
 
 
 def companion_names(rows: Recording) -> tuple[str, ...]:
-    """Return the names of all effects that are looked for beside friction, those of its level too."""
+    """Return the names of all effects looked for beside friction, those of its level too."""
     return tuple(definition.name for definition, _ in _companions(rows))
 
 
 def companion_terms(rows: Recording) -> tuple[Term, ...]:
-    """Effects that are looked for beside friction from the first, as they say themselves; free in sign."""
+    """Effects looked for beside friction from the first, as they say themselves; free in sign."""
     motion = _motion(rows, rows.force, rows.velocity)
     return tuple(
         Term(definition.name, search.columns(motion, {}))
@@ -161,14 +161,14 @@ def companion_terms(rows: Recording) -> tuple[Term, ...]:
 def level_terms(
     rows: Recording, transmitted: Array, sliding: Array, rise: Stribeck | None, known: KnownFriction | None = None
 ) -> tuple[Term, ...]:
-    """Effects that are looked for in the level of friction: their load is known once gravity and mass are.
+    """Effects looked for in the level of friction: their load is known once gravity and mass are.
 
-    One that is linear in its size changes the force that the elements have, which a fit of them tells.
+    One that is linear in its size changes the force the elements have, which a fit of them tells.
 
     Args:
         rows: of the records.
-        transmitted: torque that the drive transmits (m) [N m].
-        sliding: force of the elements over the level that they slip at now, -1 to 1 (m).
+        transmitted: torque the drive transmits (m) [N m].
+        sliding: force of the elements over the level they slip at now, -1 to 1 (m).
         rise: of the level towards low speed, in which they share; None: none.
         known: of a fit, for effects that are linear, and for trials of an effect's nonlinear parameters;
             None: of the others the first trial alone.

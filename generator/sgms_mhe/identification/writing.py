@@ -98,7 +98,7 @@ def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Num
 
 
 def check_toml(toml: str, content: Mapping[str, Any], path: Path) -> Machine:
-    """The machine that the text describes, which has to be that of the content."""
+    """The machine the text describes, which has to be that of the content."""
     read = tomllib.loads(toml)
     if read != json.loads(json.dumps(content)):
         raise ValueError("a machine file that does not say what it should")
@@ -144,6 +144,6 @@ def _entries(units: Units, numbers: Sequence[Number], owner: str = "") -> list[s
 
 
 def _key(number: Number, effect: str) -> str:
-    """Return the parameter of an effect that a number is; empty where it is none."""
+    """Return the parameter of an effect a number is; empty where it is none."""
     name, _, key = number.name.rpartition(".")
     return key if name == effect else ""

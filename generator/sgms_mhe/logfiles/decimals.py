@@ -61,7 +61,7 @@ def value_of(token: str, mark: Mark) -> float:
 
 
 def told_by(token: str) -> Mark | Literal["either"] | None:
-    """The decimal mark that a field tells; `either` for 1,234, which may be both; None where it tells nothing.
+    """The decimal mark a field tells; `either` for 1,234, which may be both; None where it tells nothing.
 
     A comma with other than three digits behind it, with a zero or nothing before it, or with an exponent, is a decimal
     mark, and so is one after groups by points. A point is one by the same rules; commas that occur twice or stand

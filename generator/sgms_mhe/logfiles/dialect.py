@@ -302,7 +302,7 @@ def _is_row_of_types(fields: Sequence[str]) -> bool:
 
 
 def told_in(line: str, separator: str) -> tuple[Mark | Literal["either"] | None, str]:
-    """The decimal mark that a row tells, with the field that does; `either` where fields may be read in two ways."""
+    """The decimal mark a row tells, with the field that does; `either` where fields may be read in two ways."""
     either = ""
     if "," in line or "." in line:
         for field in fields_of(line, separator):

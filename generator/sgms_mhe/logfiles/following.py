@@ -125,7 +125,7 @@ class FollowedText:
 
 
 class _LineSplitter:
-    """Bytes into the lines that have their end."""
+    """Bytes into the lines with their end."""
 
     def __init__(self, path: Path, hints: LogMapping | None) -> None:
         self._path = path
@@ -292,7 +292,7 @@ class _Rows:
         return columns
 
     def _check_signs(self, told: _Told, raw: Mapping[str, AnyArray], lines: Sequence[int]) -> None:
-        """Refuse a number that was recorded without its sign, as the reader of whole logs does."""
+        """Refuse a number recorded without its sign, as the reader of whole logs does."""
         ends = range(told.samples + 1, told.samples + len(lines) + 1)
         told.lines = np.concatenate((told.lines, lines))
         told.recent = {name: np.concatenate((told.recent.get(name, raw[name][:0]), raw[name])) for name in self._names}

@@ -77,7 +77,7 @@ def _values(name: str, values: AnyArray) -> Array:
 
 
 def _numbers(name: str, cells: AnyArray) -> Array:
-    """Cells as numbers, texts by the decimal mark that they tell. Raises InputError for the first that is none."""
+    """Cells as numbers, texts by the decimal mark they tell. Raises InputError for the first that is none."""
     tokens = [cell.strip() if isinstance(cell, str) else cell for cell in cells.tolist()]
     mark: Mark = "," if any(isinstance(token, str) and told_by(token) == "," for token in tokens) else "."
     numbers = np.full(len(tokens), np.nan)

@@ -130,7 +130,7 @@ MOST_COLUMNS: Final = 500
 
 
 def inspect_log(path: Path, machine: Machine | None, mapping: LogMapping | None) -> Inspection | Unread:
-    """Understand a file and judge it, or list its columns. Raises InputError for a file that no reader can open."""
+    """Understand a file and judge it, or list its columns. Raises InputError for a file no reader can open."""
     hints = machine.log if machine is not None else mapping
     table = read_table(path, hints)
     try:

@@ -60,7 +60,7 @@ def _samples(path: Path, text: str) -> tuple[list[tuple[int, Any]], Mapping[str,
 
 
 def _describe_run(path: Path, whole: Mapping[str, Any]) -> Mapping[str, float]:
-    """Return the numbers that a run states of itself, as `Log.run` has them."""
+    """Return the numbers a run states of itself, as `Log.run` has them."""
     for key in RUN - {"entries"}:
         if type(whole[key]) not in (int, float) or not 0.0 <= whole[key] < math.inf:
             raise InputError(path, key, whole[key], "a number, 0 or more, of a run with a weight on an arm")

@@ -6,7 +6,7 @@
     0               1.25    2.5     0               3.5                                0               1.25    3.5
 
 A key begins a group of columns, and in the samples it has the times of the group below it. Where nothing stands there,
-or in every row the name of the column behind it, time is counted in the steps that a line above the samples states:
+or in every row the name of the column behind it, time is counted in the steps a line above the samples states:
 
     Sampling period is 1000000 nSec
     position +1.25 torque +3.5

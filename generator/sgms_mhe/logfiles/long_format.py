@@ -22,10 +22,10 @@ _DATE: Final = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}")
 
 
 def pivot(path: Path, table: Table, dialect: Dialect, hints: LogMapping | None) -> Table:
-    """The table with a column for each name that a column of names holds, or as it is where it has none.
+    """The table with a column for each name a column of names holds, or as it is where it has none.
 
     Where [log] states no `channel`, names are the words of a column beside which only time and one number stand.
-    Raises InputError for a channel that the file does not have, and one without a time or a value.
+    Raises InputError for a channel the file does not have, and one without a time or a value.
     """
     probe = [fields_of(line, dialect.separator) for _, line in dialect.rows[:_PROBE]]
     fields = [[row[k] if k < len(row) else "" for row in probe] for k in range(len(table.columns))]

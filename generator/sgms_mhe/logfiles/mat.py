@@ -84,7 +84,7 @@ def _clock(name: str, found: Mapping[str, StoredArray]) -> str | None:
 
 
 def _version(content: bytes) -> int:
-    """The version that a header states; ValueError where there is no header."""
+    """The version a header states; ValueError where there is no header."""
     if len(content) < _HEADER or content[126:128] not in (b"IM", b"MI"):
         raise ValueError("no MAT header")
     order = "<" if content[126:128] == b"IM" else ">"

@@ -1,4 +1,4 @@
-"""Plausibility of a log's columns on the machine that they are read for.
+"""Plausibility of a log's columns on the machine they are read for.
 
 A log with its columns mixed up, of the other sign, or in a unit that nobody stated, still holds numbers: an estimator
 would follow them and say nothing. Implausible measurements are refused here, with the values seen and the key to write.
@@ -54,9 +54,9 @@ _SMALL: Final[Mapping[Kind, tuple[str, ...]]] = {"linear": ("mm", "um", "nm"), "
 
 
 def check_plausible(log: Log, machine: Machine | None, *, has_mass: bool = True) -> None:
-    """Refuse a log that this machine's axis, or without one no axis, can have left.
+    """Refuse a log this machine's axis, or without one no axis, can have left.
 
-    `has_mass`: whether the machine's mass is known; one that was found in the log itself says nothing of its force.
+    `has_mass`: whether the machine's mass is known; one found in the log itself says nothing of its force.
 
     Raises:
         InputError: a column that never changes, or is time or another column.
@@ -196,7 +196,7 @@ def _check_swapped(log: Log, machine: Machine, motion: "_IntervalMeans") -> None
 
 
 def _fastest(position: Array, samples: int, rate: float) -> float:
-    """Mean speed in an interval that a twentieth of them exceeds; NaN where there is none without a gap."""
+    """Mean speed in an interval a twentieth of them exceeds; NaN where there is none without a gap."""
     speed = np.abs(np.diff(position[::samples])) * rate / samples
     speed = speed[np.isfinite(speed)]
     return float(np.quantile(speed, 0.95)) if len(speed) else math.nan
@@ -352,7 +352,7 @@ def _check_balance(log: Log, machine: Machine | None, motion: _IntervalMeans) ->
 
 
 def _scale_force(log: Log, factor: float) -> str:
-    """The line of [log] for a force of `factor` times the scale that it was read by."""
+    """The line of [log] for a force of `factor` times the scale it was read by."""
     keys = {"variable": "...", "scale": 1.0, **log.force_keys}
     scaled = {key: factor * keys[key] for key in ("scale", "offset") if key in keys}
     return log_line(log.units.named("force_N"), **keys | scaled)
@@ -395,7 +395,7 @@ def _rms(values: Array) -> float:
 
 
 def _check_force(log: Log, machine: Machine, motion: _IntervalMeans) -> None:
-    """Refuse a motion that this force cannot have made, or a force beyond all that the motion takes.
+    """Refuse a motion this force cannot have made, or a force beyond all that the motion takes.
 
     A constant force drives an axis, so its RMS counts for the motion; or a load that stands, so its standard deviation
     counts against it. A loss of speed over a log works against friction without one.

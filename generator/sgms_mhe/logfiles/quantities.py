@@ -73,7 +73,7 @@ def si_values(
     """Columns of the log (n,) by their names, in SI units, all of one length; time by `rate` [Hz] where it has none.
 
     `note` is called with sentences on the part cut off. Raises InputError for a matrix without a row, columns of
-    unequal length, a position that starts over, and a number with a sign that was recorded without.
+    unequal length, a position that starts over, and a number with a sign recorded without.
     """
     names = {source.column for source in sources}
     raw = table.read(sorted(names | {table.clocks[name] for name in names if name in table.clocks}))
@@ -234,7 +234,7 @@ def check_signs(
         row: name of a sample.
 
     Raises:
-        InputError: a number with a sign that was recorded without, of which [log] says nothing: it jumps by the range
+        InputError: a number with a sign recorded without, of which [log] says nothing: it jumps by the range
             of its register where it turns. Or a scaled number that is said to be one and does not show its period.
     """
     return tuple(_check_sign(path, source, _vector(path, source, raw[source.column]), row) for source in sources)
@@ -271,7 +271,7 @@ def _check_sign(path: Path, source: Source, values: Array, row: Callable[[int], 
 
 
 def _find_register(known: Array) -> tuple[int, float]:
-    """(bits, period) of the register with a sign that a record (n) without one shows; (0, 0) where it shows none."""
+    """(bits, period) of the register with a sign a record (n) without one shows; (0, 0) where it shows none."""
     if len(known) < _LEAST or known.min() < 0.0 or not 1.0 / _LARGEST < known.max() < _LARGEST:
         return 0, 0.0
     steps = np.abs(np.diff(known))

@@ -125,7 +125,7 @@ def understand_table(
     mapping: LogMapping | None = None,
     note: Note | None = None,
 ) -> LogContent:
-    """Understand a table that was read from `path`, or that messages call so; arguments and errors as `understand`."""
+    """Understand a table read from `path`, or that messages call so; arguments and errors as `understand`."""
     mapping = _mapping(machine, mapping)
     notes: list[str] = []
 
@@ -164,7 +164,7 @@ def understand_table(
 
 
 def _drop_repeats(columns: dict[str, Array], table: Table, say: Note) -> tuple[dict[str, Array], Table]:
-    """The columns and the table without the samples that have the time of the one before, where these are few."""
+    """The columns and the table without the samples with the time of the one before, where these are few."""
     time = columns["time_s"]
     repeated = np.flatnonzero(np.diff(time) == 0.0) + 1
     if not 0 < len(repeated) <= MOST_REPEATED * len(time):
@@ -268,7 +268,7 @@ def _join(table: Table, file: str, other: Table) -> Table:
 
 
 def _read_file(path: Path, mapping: LogMapping | None, least: int) -> Table:
-    """Read a file of a format that its suffix tells, or else a text. Raises InputError for one that is neither."""
+    """Read a file of a format its suffix tells, or else a text. Raises InputError for one that is neither."""
     reader = READERS.get(path.suffix.lower())
     if path.is_dir():
         reader = next((reader for name, reader in FOLDERS.items() if (path / name).is_file()), None)

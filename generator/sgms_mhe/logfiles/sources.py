@@ -63,7 +63,7 @@ class Source:
 
     @property
     def period(self) -> float | None:
-        """Range of a recorded number that is centred about zero; None for one that is taken as it is."""
+        """Range of a recorded number that is centred about zero; None for one taken as it is."""
         if self.signed is not None:
             return float(2.0**self.signed)
         return None if self.quantity.role == "position" else self.wrap
@@ -221,7 +221,7 @@ def _kinds_by_units(table: Table) -> list[Kind]:
 
 
 def _kinds(table: Table, mapping: LogMapping | None, *, sure: bool) -> list[Kind]:
-    """Kinds of axis whose position, velocity or force the file has; `sure`: in a unit that no other kind has."""
+    """Kinds of axis whose position, velocity or force the file has; `sure`: in a unit no other kind has."""
     stated = {} if mapping is None else mapping.columns
     return [
         kind
@@ -339,7 +339,7 @@ def _mapped_unit(path: Path, quantity: Quantity, mapped: LogColumn, column: Colu
 
 
 def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Source:
-    """The source of a column that no [log] maps."""
+    """The source of a column no [log] maps."""
     if stamped and quantity.role == "time":
         return Source(quantity, column.name, quantity.unit, "time stamps")
     if _is_own(column, quantity):
@@ -356,7 +356,7 @@ def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Sourc
 
 
 def _check_unit(path: Path, quantity: Quantity, column: Column, unit: str) -> str:
-    """A unit that the file states, where it alone makes SI values; else refused with the key for [log]."""
+    """A unit the file states, where it alone makes SI values; else refused with the key for [log]."""
     if unit in quantity.units:
         return unit
     where = f"column {column.name}, unit"

@@ -14,7 +14,7 @@ from sgms_mhe.support.errors import InputError
 
 @dataclass(frozen=True)
 class Column:
-    """A column, variable or channel that was found in a file.
+    """A column, variable or channel found in a file.
 
     Attributes:
         name: unique within the file; of names that occur twice `name (1)`, `name (2)`.
@@ -74,13 +74,13 @@ class Table:
 
 
 def damage_error(path: Path, allowed: str, error: Exception) -> InputError:
-    """The error of a file that its reader stumbles over."""
+    """The error of a file its reader stumbles over."""
     return InputError(path, "file", None, f"{allowed} ({type(error).__name__}: {error})")
 
 
 @contextmanager
 def refuse_damage(path: Path, allowed: str) -> Iterator[None]:
-    """Refuse a file that its reader stumbles over in the block: readers of a damaged one do so in many ways."""
+    """Refuse a file its reader stumbles over in the block: readers of a damaged one do so in many ways."""
     try:
         yield
     except InputError:

@@ -43,7 +43,7 @@ class Noise(MachineTable):
 
 
 class Disturbance(MachineTable):
-    """Errors of the model that the estimator takes out beside the estimated parameters."""
+    """Errors of the model the estimator takes out beside the estimated parameters."""
 
     mass: float = quantity("1 sigma of the mass or inertia, relative; 0: it is right", "1", 0.0, ge=0, le=1)
     gain: float = quantity(

@@ -1,7 +1,7 @@
 """The machine file as a whole: its tables, each checked by itself, and the JSON Schema that editors read.
 
-Checks and defaults beyond the file itself (the effects' parameters, the names that an estimator may use,
-the integrator that the friction law asks for) is taken as it is written; `sgms_mhe.configuration` resolves it.
+Checks and defaults beyond the file itself (the effects' parameters, the names an estimator may use,
+the integrator the friction law asks for) is taken as it is written; `sgms_mhe.configuration` resolves it.
 """
 
 import re
@@ -50,7 +50,7 @@ class Effect(MachineTable):
 
     @property
     def written(self) -> dict[str, Any]:
-        """The parameters that the file gives, by key, whatever they are."""
+        """The parameters the file gives, by key, whatever they are."""
         return dict(self.__pydantic_extra__)
 
 

@@ -67,7 +67,7 @@ class LogColumn(_Spare):
 
     @property
     def is_bare(self) -> bool:
-        """True where no variable is named: the keys hold for the one that is found by its own or usual name."""
+        """True where no variable is named: the keys hold for the one found by its own or usual name."""
         return not self.name and self.row is None
 
     @model_validator(mode="after")
@@ -79,7 +79,7 @@ class LogColumn(_Spare):
         return self
 
     def check_unit(self, where: str, quantity: Quantity) -> None:
-        """Refuse a unit that the quantity does not have, or one without the number that it needs."""
+        """Refuse a unit the quantity does not have, or one without the number it needs."""
         if self.unit is None:
             if self.counts_per is not None:
                 raise refusal(f"{where}.unit", None, f"{COUNTS[0]}, where counts_per is given")
@@ -111,7 +111,7 @@ def _column(name: str) -> Any:
 
 
 class LogMapping(_Spare):
-    """Variables, scales and units of a measured file, for recorded files that are read as they are."""
+    """Variables, scales and units of a measured file, for recorded files read as they are."""
 
     time_s: Source = _column("time_s")
     position_m: Source = _column("position_m")
@@ -154,7 +154,7 @@ class LogMapping(_Spare):
 
     @property
     def columns(self) -> dict[str, LogColumn]:
-        """The columns that the file maps, by name."""
+        """The columns the file maps, by name."""
         found = {name: getattr(self, name) for name in BY_COLUMN}
         return {name: column for name, column in found.items() if column is not None}
 
@@ -203,7 +203,7 @@ _ALWAYS: Final = frozenset(
 def table_of_flags(
     rate: float | None, wrap: float | None, units: Mapping[str, str], force_scale: float | None
 ) -> dict[str, Any]:
-    """A table [log] of keys for columns of either kind of axis that are found by their usual names.
+    """A table [log] of keys for columns of either kind of axis found by their usual names.
 
     Args:
         rate: samples per second of a file without a time column [Hz].
@@ -212,7 +212,7 @@ def table_of_flags(
         force_scale: N, or N m, per recorded unit of force or torque.
 
     Raises:
-        InputError: a name that is no quantity, a unit that it does not have.
+        InputError: a name that is no quantity, a unit it does not have.
     """
     table: dict[str, Any] = {} if rate is None else {"rate": rate}
 

@@ -48,7 +48,7 @@ class Quantity:
 
     @property
     def allowed(self) -> tuple[str, ...]:
-        """Every unit that a file may state or `[log]` may give."""
+        """Every unit a file may state or `[log]` may give."""
         counts = (COUNTS[1] if self.role == "velocity" else COUNTS[0],) if self.counted else ()
         return (*self.units, *counts, *self.recorded)
 

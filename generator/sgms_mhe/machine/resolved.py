@@ -1,4 +1,4 @@
-"""The machine that a file describes, with nothing left open, for all later stages."""
+"""The machine a file describes, with nothing left open, for all later stages."""
 
 import hashlib
 import json
@@ -50,7 +50,7 @@ class Machine(Shown):
     Attributes:
         name, description, plant, friction, sampling, drive, compensation, code, effects, diagnosis, log: keys and
             tables of the file.
-        source: the file that this machine was read from.
+        source: the file this machine was read from.
         estimator: its parameters have the catalogue's names, those of a linear axis, as `effects` has.
         content: of the file, `extends` merged, defaults not filled in, in the names of this kind of axis.
     """

@@ -1,4 +1,4 @@
-"""The symbolic model of a machine: S-GMS friction, the axis that it acts on, and the effects beyond it."""
+"""The symbolic model of a machine: S-GMS friction, the axis it acts on, and the effects beyond it."""
 
 from sgms_mhe.model.axis import SIGNAL_NAMES as SIGNAL_NAMES
 from sgms_mhe.model.axis import FreeParameter as FreeParameter

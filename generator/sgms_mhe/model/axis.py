@@ -57,7 +57,7 @@ class StateSpec:
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A parameter that the estimator estimates: p = nominal + scale (theta - 1).
+    """A parameter the estimator estimates: p = nominal + scale (theta - 1).
 
     Attributes:
         name: machine-file name of the group (`stiffness`, `force_ripple.amplitude_N`).
@@ -114,7 +114,7 @@ class SymbolicAxis:
         micro_viscous: damping [N s/m] shared out to the elements by nu_i, on top of their own sigma_i.
         curve, mean_curve: friction over speed of any shape that effects add [N], at a sample's own time and at the mean
             velocity before it; complete from the stage `level` on.
-        stribeck_level: s(v) / f_C, which an effect may replace by the level that the elements really have.
+        stribeck_level: s(v) / f_C, which an effect may replace by the level the elements really have.
         rest_level: the same at v = 0, 1 + beta.
         stribeck_share: exp(-(v/v_s)^2), the share of the Stribeck effect that is there at this speed.
         gate_per_velocity: gamma / v_s [s/m], how sharply directions are distinguished.
@@ -170,7 +170,7 @@ class SymbolicAxis:
 
     @property
     def drive(self) -> ca.SX:
-        """The logged force that the model predicts [N]."""
+        """The logged force the model predicts [N]."""
         return self.output + self.mass * self.measured[2]
 
     @drive.setter
@@ -197,7 +197,7 @@ class SymbolicAxis:
         return symbols
 
     def add_force(self, force: ca.SX) -> None:
-        """Add a force [N] to the friction force that the axis shows."""
+        """Add a force [N] to the friction force the axis shows."""
         self.output = self.output + force
 
     def add_mass(self, mass: ca.SX, nominal: float) -> None:

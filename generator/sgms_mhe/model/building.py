@@ -250,7 +250,7 @@ class _BuiltEffect:
     source: Path
 
     def contribute(self, axis: SymbolicAxis) -> None:
-        """Add the effect to the axis; refuses numbers that the code of another distribution fails at."""
+        """Add the effect to the axis; refuses numbers the code of another distribution fails at."""
         axis.scope = self.label
         try:
             self.definition.contribute(axis, self.expressions, self.nominal)
@@ -311,7 +311,7 @@ def _prompt_drive(effects: Sequence[_BuiltEffect], axis: SymbolicAxis) -> ca.SX:
 
 
 def _bare_axis(machine: Machine, *, estimates: bool = False) -> SymbolicAxis:
-    """The axis before anything contributes to it; `estimates`: with the signals that an estimator has besides."""
+    """The axis before anything contributes to it; `estimates`: with the signals an estimator has besides."""
     friction, sampling, smoothing = machine.friction, machine.sampling, machine.friction.smoothing
     return SymbolicAxis(
         machine.plant.moved,
@@ -425,7 +425,7 @@ def _reads(rhs: ca.SX, states: set[int], symbol: ca.SX) -> bool:
 
 @dataclass(frozen=True)
 class PlainForce:
-    """Force that an effect adds to the output of a model and leaves the rest unchanged.
+    """Force an effect adds to the output of a model and leaves the rest unchanged.
 
     Attributes:
         parameters: the free ones of the effect.

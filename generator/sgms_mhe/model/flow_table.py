@@ -107,7 +107,7 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
 
 @lru_cache(maxsize=16)
 def _table(zeta: float, lambda_: float, precision: str) -> FlowTable:
-    """Tables of a smoothing that they are for, whichever machine has it."""
+    """Tables of a smoothing they are for, whichever machine has it."""
     reach = _reach(lambda_, precision)
     degree = _DEGREE[precision]
     with localcontext(_CONTEXT):

@@ -42,7 +42,7 @@ class Elements:
 
     Attributes:
         deflection: z [m] (n_z).
-        level: s(v) / f_C times the effects' factors, the level that every element slips at.
+        level: s(v) / f_C times the effects' factors, the level every element slips at.
         rho: d(chi_i)/dt of an element that sticks, over the measured velocity [1/m] (n_z): kappa_i / (nu_i f_C).
     """
 

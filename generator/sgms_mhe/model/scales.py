@@ -7,7 +7,7 @@ from sgms_mhe.model.effects.scales import Scales
 
 
 def scales_of(machine: Machine) -> Scales:
-    """The sizes that a machine sets."""
+    """The sizes a machine sets."""
     friction = machine.friction
     deflections = [
         nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True)

@@ -11,7 +11,7 @@ from sgms_mhe.support.errors import InputError
 
 
 def check_switching(machine: Machine, axis: SymbolicAxis, elements: Elements) -> None:
-    """Refuse an axis whose elements are no clips of the axis' displacement at a level that is known in closed form.
+    """Refuse an axis whose elements are no clips of the axis' displacement at a level known in closed form.
 
     This package's effects say so themselves (`smooth_only`), and are refused where the machine file is read.
 

@@ -1,1 +1,1 @@
-"""The simulated axis, independent of the model that the estimator is generated from, and the moves that it makes."""
+"""The simulated axis, independent of the model the estimator is generated from, and the moves it makes."""

@@ -85,7 +85,7 @@ class Library:
     effects: Mapping[str, tuple[str, ...]]
 
     def has_table(self, effect: str) -> bool:
-        """Return True if an effect that the plant knows takes the list that is its last parameter whole."""
+        """Return True if an effect the plant knows takes the list that is its last parameter whole."""
         return bool(self.c.axis_effect_has_table(list(self.effects).index(effect)))
 
 
@@ -350,7 +350,7 @@ class NativeAxis:
         """Follow a measured motion under a logged force, or a command: all states become those at sample `end`.
 
         Returns:
-            Acceleration that the force would make (end - start) [m/s^2], half a sample before each.
+            Acceleration the force would make (end - start) [m/s^2], half a sample before each.
         """
         acceleration = np.empty(end - start)
         args = (position.ctypes.data, driving.ctypes.data, len(driving), start, end - start, acceleration.ctypes.data)
@@ -358,7 +358,7 @@ class NativeAxis:
         return acceleration
 
     def run_free(self, force: Array, start: int, end: int, position: float, velocity: float, strain: float) -> Array:
-        """Return positions that a logged force or command makes of samples `start` to `end`, and be as before.
+        """Return positions a logged force or command makes of samples `start` to `end`, and be as before.
 
         Args:
             force: logged (n) [N], or the command [m or V] where the axis is commanded.
@@ -440,7 +440,7 @@ class NativeAxis:
             self._declare(f"{label}.{entry}", number, partial(_to_all, senders[entry]), limits)
 
     def _add_outside_force(self, effect: str, label: str, values: Mapping[str, Value]) -> None:
-        """An effect that the plant does not know, by the force that its definition brings for it."""
+        """An effect the plant does not know, by the force its definition brings for it."""
         definition = effect_definition(effect) if effect in effect_names() else None
         force = definition.plant_force if definition is not None else None
         if definition is None or force is None:

@@ -33,7 +33,7 @@ _EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Truth:
-    """True signals that no sensor sees, at the log's samples.
+    """True signals no sensor sees, at the log's samples.
 
     position [m], velocity [m/s], acceleration [m/s^2], force on the mass [N], friction of the law [N], sum of the
     effects' forces [N]: (n); deflection z [m]: (n, n_z). mass a = force - friction - effect_force with the mass that
@@ -96,7 +96,7 @@ def simulate_axis(
         scale: true over nominal.
         drift: multipliers over time.
         drift_block_s: how long a drifting parameter stays constant [s].
-        hidden_effects: (name, parameters) of effects that the plant has and the machine file does not know.
+        hidden_effects: (name, parameters) of effects the plant has and the machine file does not know.
         compensation: called each sample with measured position [m] and force [N]; its force [N] adds to the
             controller's. A `NativeCompensation` is called without the interpreter in between.
         truth: record it; a long run without takes a third of the memory.
@@ -105,7 +105,7 @@ def simulate_axis(
         The log from time 0 on, one row per sample of the trajectory, and the truth.
 
     Raises:
-        InputError: a name, a rate or a number that does not fit, or an axis that its controller cannot hold.
+        InputError: a name, a rate or a number that does not fit, or an axis its controller cannot hold.
     """
     if not math.isclose(trajectory.rate, machine.sampling.rate, rel_tol=1e-9):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Noise that an encoder, and readings off their stamps, leave in a motion behind the signal chain."""
+"""Noise an encoder, and readings off their stamps, leave in a motion behind the signal chain."""
 
 from typing import Final
 
@@ -15,7 +15,7 @@ SEED: Final = 20241125
 def encoder_noise(recording: Recording) -> Array:
     """Noise of position, velocity and acceleration (n, 3), as much as the record's own.
 
-    How much there is, the acceleration tells where it comes from the position: a velocity or an acceleration that a log
+    How much there is, the acceleration tells where it comes from the position: a velocity or an acceleration a log
     brings has noise of its own, which moves no element. Where an encoder's steps show and make more, theirs: none at
     rest, and a slow saw where few of them pass.
     """

@@ -115,7 +115,7 @@ def noise_floor(recording: Recording, residual: Array, encoder: Array | None = N
     Args:
         recording: the record.
         residual: measured minus model (m) [N].
-        encoder: force that the encoder's steps leave (m) [N]; None: by their effect on the acceleration.
+        encoder: force the encoder's steps leave (m) [N]; None: by their effect on the acceleration.
     """
     quiet, background = _quiet_power(recording, residual)
     encoder = recording.steps_inertia if encoder is None else encoder
@@ -127,10 +127,10 @@ def noise_floor(recording: Recording, residual: Array, encoder: Array | None = N
 
 
 def misread_forces(inertial: Array, friction: Sequence[Array]) -> list[Array]:
-    """Return the forces that an encoder's steps leave in a residual (m) [N], one for each encoder.
+    """Return the forces an encoder's steps leave in a residual (m) [N], one for each encoder.
 
     Args:
-        inertial: force of the acceleration that the steps make (m) [N].
+        inertial: force of the acceleration the steps make (m) [N].
         friction: a model's (m) [N], along a trajectory without steps and along those that encoders make of it.
     """
     true, *misread = friction
@@ -235,7 +235,7 @@ class RecordLoss:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FitLoss(RecordLoss):
-    """Residual of a fit, and its squares on blocks that it has not seen.
+    """Residual of a fit, and its squares on blocks it has not seen.
 
     Attributes:
         cross: sum of squares per block, each predicted by a fit without its fold (blocks).
@@ -249,12 +249,12 @@ class FitLoss(RecordLoss):
         return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
 
     def gain_over(self, other: Self) -> float:
-        """RMS of the force that this fit explains beyond another on unseen blocks [N]; negative for less."""
+        """RMS of the force this fit explains beyond another on unseen blocks [N]; negative for less."""
         return gain_force(other.cross, self.cross, self.rows)
 
 
 def gain_force(before: Array, after: Array, rows: Array) -> float:
-    """RMS of the force that a fit explains beyond another [N], from losses per block; negative for less."""
+    """RMS of the force a fit explains beyond another [N], from losses per block; negative for less."""
     difference = float((before - after).sum()) / max(1.0, float(rows.sum()))
     return math.copysign(math.sqrt(abs(difference)), difference)
 

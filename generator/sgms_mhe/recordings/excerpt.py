@@ -36,7 +36,7 @@ PLACES: Final = 60
 
 @dataclass(frozen=True)
 class _Piece:
-    """A block of the record, and the row that the motion before it begins at."""
+    """A block of the record, and the row the motion before it begins at."""
 
     block: int
     first: int
@@ -48,7 +48,7 @@ def make_excerpt(recording: Recording) -> Recording:
     A piece is a block and the motion before it, which the fit runs through and does not see: as long as states need to
     forget the past. The record is cut into as many stretches of time as there are to be pieces. Each gives the
     one of its blocks that is richest in something, taking turns: reversals, acceleration, speed, slow motion, and
-    places that no piece has been to. So drifts and steps are seen from the first stretch to the last, pitches over the
+    places no piece has been to. So drifts and steps are seen from the first stretch to the last, pitches over the
     whole range, and rare motion is seen too. Rows are as fine as those of a short record.
     """
     step = recording.factor / recording.machine.sampling.rate
@@ -130,7 +130,7 @@ def _pieces(recording: Recording) -> list[_Piece]:
 
 
 def _leads(recording: Recording) -> dict[int, int]:
-    """Row that the motion before a block begins at, of every block before which states forget."""
+    """Row the motion before a block begins at, of every block before which states forget."""
     step = recording.factor / recording.machine.sampling.rate
     path = np.concatenate(([0.0], np.cumsum(np.abs(recording.velocity)) * step))
     low, high = float(np.min(recording.position)), float(np.max(recording.position))
@@ -150,7 +150,7 @@ def _leads(recording: Recording) -> dict[int, int]:
 
 
 def _places(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Return the part of the range of position that each decimated sample is in (m)."""
+    """Return the part of the range of position each decimated sample is in (m)."""
     low, high = float(np.min(recording.position)), float(np.max(recording.position))
     return np.minimum(PLACES - 1, (recording.position - low) / max(high - low, 1e-12) * PLACES).astype(np.int64)
 

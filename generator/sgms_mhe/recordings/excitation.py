@@ -144,7 +144,7 @@ def find_speeds_apart(recording: Recording) -> tuple[float, float] | None:
 
 
 def clock_note(recording: Recording) -> tuple[Statement, ...]:
-    """Return the question that a record whose motion and time are one clock does not decide."""
+    """Return the question a record whose motion and time are one clock does not decide."""
     period = find_lap(recording)
     if period is not None:
         return (Statement(Rule.ONE_CLOCK, "motion", period, unit="s"),)

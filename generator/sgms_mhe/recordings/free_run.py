@@ -1,4 +1,4 @@
-"""Free run: motion that a machine makes of a logged force or a command alone, and how long it stays near the real one.
+"""Free run: motion a machine makes of a logged force or a command alone, and how long it stays near the real one.
 
 The simulated axis (`plant/`) runs from the first samples of every stretch without a gap. Before such a start it follows
 the measured motion, so that elements, lags and clocks are those of the record.
@@ -142,7 +142,7 @@ class FreeRun(Shown):
 
 
 class FreeRunRecord:
-    """A log as free runs take it: its stretches without a gap, and the motion that the axis follows before a start.
+    """A log as free runs take it: its stretches without a gap, and the motion the axis follows before a start.
 
     `start_s`, `end_s` [s since the log's first sample] say which part is run through.
 
@@ -185,7 +185,7 @@ class FreeRunRecord:
     def axis(
         self, machine: Machine, parameters: Mapping[str, float] = _NONE, hidden: Sequence[HiddenEffect] = ()
     ) -> NativeAxis:
-        """Return a machine's axis, at rest at the first sample, with these true numbers and effects that it hides."""
+        """Return a machine's axis, at rest at the first sample, with these true numbers and effects it hides."""
         config = _config(machine, self.log.rate, self._is_commanded)
         sampling = machine.sampling.model_copy(update={"rate": self.log.rate})
         axis = NativeAxis(replace(machine, sampling=sampling), config, hidden)
@@ -212,7 +212,7 @@ class FreeRunRecord:
         return runs, taken
 
     def rows(self, shots: Sequence[tuple[int, int]]) -> list[tuple[int, int, int]]:
-        """Return shots with the step between samples that a fit compares."""
+        """Return shots with the step between samples a fit compares."""
         return [(a, b, max(1, round(self.log.rate / ROWS_HZ))) for a, b in shots]
 
     def force_residual(self, axis: NativeAxis) -> Array:
@@ -262,7 +262,7 @@ def _config(machine: Machine, rate: float, commanded: bool) -> AxisConfig:
 def run_freely(
     machine: Machine, log: Log, *, start_s: float = 0.0, end_s: float = math.inf, tolerance_m: float | None = None
 ) -> FreeRun:
-    """Run a machine by the force in a log alone, or by the command that its drive takes, anew after every gap.
+    """Run a machine by the force in a log alone, or by the command its drive takes, anew after every gap.
 
     Args:
         machine: with all its effects.

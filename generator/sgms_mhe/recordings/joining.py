@@ -56,7 +56,7 @@ def _add_no_steps(recording: Recording) -> Recording:
 
 
 def drop_rows(recording: Recording, rows: Mask) -> Recording:
-    """Return a recording some of whose rows (m) do not count; blocks that have no others are none."""
+    """Return a recording some of whose rows (m) do not count; blocks with no others are none."""
     used = recording.used & ~rows
     left = np.unique(recording.block[used])
     number = np.full(recording.blocks, -1)

@@ -69,7 +69,7 @@ class Problem(Protocol[P]):
         """Return the quadratic model about a point."""
 
     def after(self, here: P, step: Array) -> P:
-        """Return the point that a step (p) leads to."""
+        """Return the point a step (p) leads to."""
 
 
 def minimise(
@@ -102,7 +102,7 @@ def minimise(
 def _step(
     problem: Problem[P], here: P, box: Box, damping: float, enough: float, tries: int
 ) -> tuple[P, float, float] | None:
-    """Return the next point, the gain that was promised and the damping that it took; None where no step gains."""
+    """Return the next point, the gain that was promised and the damping it took; None where no step gains."""
     model = problem.quadratic(here)
     H, g, binding, diagonal = model.H, model.g, model.binding, model.diagonal
     least = enough * here.cost / problem.count

@@ -26,7 +26,7 @@ class Lines:
 
     Attributes:
         coordinates: instants [s] and positions [m], say, of the rows (k, width) each.
-        basis: of the polynomial that is taken out of every segment, orthonormal (width, order + 1).
+        basis: of the polynomial taken out of every segment, orthonormal (width, order + 1).
         found: coordinate's number and cycles per unit of it, of each line.
         waves: cosine and sine of each (2, k, width).
     """

@@ -74,7 +74,7 @@ def quiet_variance(pieces: Array, colour: Colour, coordinates: tuple[Array, ...]
     """Variance of the noise in pieces (k, width) some of which hold more than a polynomial and noise.
 
     Begins with the quietest pieces and takes in all others that noise of the variance so far would make: a push, a
-    reversal that a model gets wrong, leaves its piece out, however many of them there are. The polynomial's share
+    reversal a model gets wrong, leaves its piece out, however many of them there are. The polynomial's share
     of the noise is estimated from the correlation of neighbouring rows: the chain makes the force's noise slow, the
     encoder's, twice differentiated, fast.
 

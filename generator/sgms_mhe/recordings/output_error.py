@@ -1,4 +1,4 @@
-"""Refit of a machine's numbers in the norm of its motion: the positions that the measured force alone makes.
+"""Refit of a machine's numbers in the norm of its motion: the positions the measured force alone makes.
 
 Output error, beside the equation error of all other fits: both are norms of one score, each over its own noise. From
 short shots (multiple shooting, from which every run comes back) to free runs of whole stretches.
@@ -72,7 +72,7 @@ class Refit:
 
 
 def list_sizes(machine: Machine) -> dict[str, float]:
-    """Return the numbers that a free run sees, with the unit of their coordinate.
+    """Return the numbers a free run sees, with the unit of their coordinate.
 
     Mass, level, damping and the sizes of effects; no elements, which it sees at reversals alone, nothing of the log.
     """
@@ -165,7 +165,7 @@ def refit_motion(machine: Machine, logs: Sequence[Log], objective: Objective, fi
         fixed: numbers that stay.
 
     Raises:
-        InputError: a log that no free run can take.
+        InputError: a log no free run can take.
     """
     score = _NormedResiduals(machine, logs, fixed)
     whole, nominal = score.cut(1), np.zeros(len(score.names))

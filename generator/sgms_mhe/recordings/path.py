@@ -136,7 +136,7 @@ def misread_paths(
         position: readings (n) [m], without gaps.
         step: from line to line [m].
         noise, course: as of `smooth_path`.
-        beyond: noise of each reading that the steps do not make (n) [m]; None: none.
+        beyond: noise of each reading the steps do not make (n) [m]; None: none.
     """
     true = smooth_blocks(position, noise, course)
     paths = [true]

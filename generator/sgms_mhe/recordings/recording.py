@@ -102,7 +102,7 @@ class Recording:
         used: rows that count (m).
         block: block of each row (m), 0 to blocks - 1; -1 where unused. Blocks are the independent units of all tests.
         fold: cross-validation fold of each block (blocks).
-        held_out: blocks that the fit behind the reported gain does not see (blocks).
+        held_out: blocks the fit behind the reported gain does not see (blocks).
         warnings: to the user about the record.
         noise: of an encoder of these steps in position, velocity and acceleration (n, 3), its lines being
             elsewhere; None where its steps do not show, and where nobody asked (`add_encoder`).
@@ -218,7 +218,7 @@ class Recording:
 
     @property
     def steps_inertia(self) -> Array | None:
-        """Force of the acceleration that the encoder's steps make (m) [N]; None where they do not show."""
+        """Force of the acceleration the encoder's steps make (m) [N]; None where they do not show."""
         return None if self.noise is None else self.inertia * self.reduce(self.noise[:, 2])
 
     def misread_motions(self) -> Iterator[Array]:
@@ -324,7 +324,7 @@ def filter_position(machine: Machine, position: Array) -> Array:
 
 
 def _find_usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[str, ...]]:
-    """Samples that a model can be compared with (n), and warnings on the others."""
+    """Samples a model can be compared with (n), and warnings on the others."""
     warnings: list[str] = []
     good = signals.valid.copy()
     settle, n, units = settle_samples(machine), len(signals), machine.plant.units

@@ -29,7 +29,7 @@ class ReferenceIntegrator:
 
     @property
     def blocks(self) -> tuple[IntegratedBlock, ...]:
-        """The blocks of states that are integrated apart from each other."""
+        """The blocks of states integrated apart from each other."""
         return self._blocks.all
 
     @property

@@ -58,7 +58,7 @@ class InnovationColour:
 
 
 class ParameterWander:
-    """Squared move of each parameter over a block of updates, over the variance that the block takes from it.
+    """Squared move of each parameter over a block of updates, over the variance the block takes from it.
 
     An estimate that knows its variance moves, from one block's end to the next, with the variance before, and the
     drift's, less that after. Blocks count with that share of the variance: an unknown number moves much at once.
@@ -103,7 +103,7 @@ class LastingErrors:
     Args:
         drift: random walk of theta per update (n_p), 1 sigma.
         measurements: in an interval.
-        colour: factor that the axis is known for.
+        colour: factor the axis is known for.
         enabled: whether variances are scaled at all.
         length: intervals after which a block ends; its numbers count as those of BLOCK.
     """

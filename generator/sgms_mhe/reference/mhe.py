@@ -29,8 +29,8 @@ class StoredIntervals(NamedTuple):
     """Affine maps of n intervals, oldest first, each as it was made.
 
     Attributes:
-        x: node at the start that an interval was linearised at (n, n_x).
-        theta: parameters that it was linearised at (n, n_p).
+        x: node at the start an interval was linearised at (n, n_x).
+        theta: parameters it was linearised at (n, n_p).
         intervals: the maps.
     """
 

@@ -156,7 +156,7 @@ class NodeRecord:
 
     sigma_x (updates, n_x): state noise of each interval, node state units.
     Measurements y, valid: at the nodes 0 .. updates; inner_y, inner_valid (updates, R - 1): inside of the intervals.
-    noise, inner_noise: factors on their stated deviations, by samples that the chain has bridged.
+    noise, inner_noise: factors on their stated deviations, by samples the chain has bridged.
     """
 
     def __init__(

@@ -170,7 +170,7 @@ class PythonLoops:
         return _closed_form(sign * level * r1, slope, change[0], drive[2], dend)
 
     def _slid(self, slide: Array, chi: float, rate: Array, by_theta: Array) -> Moved | None:
-        """A step that an element slides through, at once; None where it is not near enough to the fixed point."""
+        """A step an element slides through, at once; None where it is not near enough to the fixed point."""
         displacement, level, delta = (float(value) for value in slide)
         flow, rho = self._blocks.flow, rate.item()
         direction = math.copysign(1.0, displacement)

@@ -1,4 +1,4 @@
-"""Measurements one after the other: innovation, test ratio, and the noise that each is taken with (docs/weights.md)."""
+"""Measurements one after the other: innovation, test ratio, and the noise each is taken with (docs/weights.md)."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple, Self
@@ -32,7 +32,7 @@ class MeasurementResult(NamedTuple):
     Attributes:
         innovation: measurement minus its prediction [N].
         test_ratio: its square over its predicted variance.
-        scale: factor on the stated standard deviation that it was taken with.
+        scale: factor on the stated standard deviation it was taken with.
     """
 
     innovation: float
@@ -46,7 +46,7 @@ class MeasurementResult(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """An innovation that a measurement was taken with.
+    """An innovation a measurement was taken with.
 
     Attributes:
         standard: over its predicted standard deviation, three of these at most.
@@ -87,7 +87,7 @@ class Scaling:
 def take_reading(
     belief: Gaussian, C: Array, innovation: float, stated: float, scaling: Scaling, noise: float = 1.0
 ) -> tuple[Gaussian, MeasurementResult]:
-    """Fold a scalar measurement, C (n,) its sensitivity, with the noise that its innovation asks for.
+    """Fold a scalar measurement, C (n,) its sensitivity, with the noise its innovation asks for.
 
     `noise`: factor on the stated deviation before that is known.
     """

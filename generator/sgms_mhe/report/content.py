@@ -242,7 +242,7 @@ def _depends(s: ResidualStructure, d: Diagnosis) -> bool:
 
 
 def _made(s: ResidualStructure) -> str:
-    """Return the words on a dependence that the encoder's steps make, as far as one draw of its lines says."""
+    """Return the words on a dependence the encoder's steps make, as far as one draw of its lines says."""
     return f", the encoder's steps make about {force(s.encoder_N)}" if s.encoder_N > ENCODER_SHARE * s.rms_N else ""
 
 

@@ -99,7 +99,7 @@ def _range(marks: Sequence[Mark], nominal: float) -> tuple[float, float]:
 
 
 def _beyond(mark: Mark) -> float:
-    """The end of the band that a mark left, and a bit of the band; its own value where it left none."""
+    """The end of the band a mark left, and a bit of the band; its own value where it left none."""
     if mark.band is None or not mark.left:
         return mark.value
     end = mark.band[1] if mark.value > mark.band[1] else mark.band[0]
@@ -109,7 +109,7 @@ def _beyond(mark: Mark) -> float:
 def _bands(
     marks: Sequence[Mark], x: Callable[[float], float], y: Callable[[float], float], low: float, high: float
 ) -> str:
-    """Behind every number the band that it is compared with, halfway to its neighbours."""
+    """Behind every number the band it is compared with, halfway to its neighbours."""
     places = [x(mark.at) for mark in marks]
     parts = []
     for k, mark in enumerate(marks):

@@ -51,7 +51,7 @@ class EstimatorRun:
 
 @dataclass(frozen=True)
 class EstimatorGain:
-    """Two estimators on a log that no fit has seen: of the machine as it was, and of the extended one.
+    """Two estimators on a log no fit has seen: of the machine as it was, and of the extended one.
 
     `reduction` of the prediction's error, 1 - extended / base, with its 95 % interval over pieces of the log;
     `time_s`, `before_N`, `after_N` (k): RMS of that error in consecutive pieces.
@@ -80,7 +80,7 @@ def closed_loop_gain(machine: Machine, extended_machine: Machine, log_unseen: Lo
     Args:
         machine: as it was.
         extended_machine: of a diagnosis.
-        log_unseen: a log that the diagnosis did not use.
+        log_unseen: a log the diagnosis did not use.
 
     Raises:
         InputError: the log holds no second of motion that both estimators could use.

@@ -69,7 +69,7 @@ class Band:
 
 @dataclass(frozen=True)
 class FleetPoint:
-    """A number in one log, with the band that it is compared with (None: none).
+    """A number in one log, with the band it is compared with (None: none).
 
     Attributes:
         log: name.

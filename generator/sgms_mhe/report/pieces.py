@@ -10,7 +10,7 @@ Row = dict[str, str]
 
 
 def tile(label: str, value: str, note: str, kind: str = "", before: str = "") -> Row:
-    """A key figure; `kind` colours it, `before` is the number that it was."""
+    """A key figure; `kind` colours it, `before` is the number it was."""
     return {"label": label, "before": before, "value": value, "kind": kind, "note": note}
 
 

@@ -24,7 +24,7 @@ def ranked_scores(scores: Sequence[Score]) -> list[Score]:
 
 
 def explained_force(score: Score) -> float:
-    """Return the force that a candidate explains [N RMS]: after a refit where there was one."""
+    """Return the force a candidate explains [N RMS]: after a refit where there was one."""
     return next((gain for gain in (score.refit_gain_N, score.gain_N) if math.isfinite(gain)), 0.0)
 
 

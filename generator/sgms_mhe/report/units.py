@@ -42,7 +42,7 @@ def use_units(units: Units) -> Iterator[None]:
 
 
 def axis_units() -> Units:
-    """Units of the axis that is reported on."""
+    """Units of the axis reported on."""
     return _axis.get()
 
 
@@ -74,7 +74,7 @@ def split_name(name: str) -> tuple[str, str]:
 
 
 def quantity(name: str, value: float, std: float = math.nan) -> PrintedValue:
-    """A parameter's value with two standard deviations, in the unit that its name ends in."""
+    """A parameter's value with two standard deviations, in the unit its name ends in."""
     _, unit = split_name(name)
     return reading(value, unit, std)
 

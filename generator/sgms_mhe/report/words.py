@@ -15,7 +15,7 @@ LEAST_CHANGE: Final = 5e-4
 
 
 def title(name: str, *, own: bool = False) -> str:
-    """Return the name of a cause in words; `own`: an effect that the machine file has already."""
+    """Return the name of a cause in words; `own`: an effect the machine file has already."""
     words = cause(name).summary if name in cause_names() else name.replace("_", " ")
     return f"{words}: another value than the machine file's" if own else words
 

@@ -88,7 +88,7 @@ def signal_array(signals: Signals, h: float, first: int = 0, mean: int = 0) -> A
 
 
 def mean_samples(machine: Machine) -> int:
-    """Samples that the mean acceleration of an uncertain mass is over; 0: the machine has no such signal.
+    """Samples the mean acceleration of an uncertain mass is over; 0: the machine has no such signal.
 
     Of two velocities so far apart the noise is independent, so that their difference has none of the acceleration's.
     """
@@ -245,7 +245,7 @@ def settle_samples(machine: Machine) -> int:
 
 
 def readings(log: Log) -> Log:
-    """The log with NaN for whatever is no measurement, as a record that is known to its end shows it.
+    """The log with NaN for whatever is no measurement, as a record known to its end shows it.
 
     A controller knows less: it meets a position that jumped away before those that come back.
     """
@@ -278,7 +278,7 @@ def _drop_far(log: Log) -> Log:
 
 
 def _channels(log: Log) -> dict[str, Array]:
-    """The columns that the chain takes."""
+    """The columns the chain takes."""
     return {
         name: values for name, values in log.columns.items() if name not in COMMANDS | {"time_s", "temperature_degC"}
     }

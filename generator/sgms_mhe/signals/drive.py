@@ -1,4 +1,4 @@
-"""Commands of a log, as a machine's drive takes them, and the force that it makes of them."""
+"""Commands of a log, as a machine's drive takes them, and the force it makes of them."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def command_of(log: Log, machine: Machine) -> Array | None:
 
 
 def find_force(log: Log, machine: Machine) -> Log:
-    """Return a commanded log with the force that the machine's drive made, as its package's `drive_force()` finds it.
+    """Return a commanded log with the force the machine's drive made, as its package's `drive_force()` finds it.
 
     The back-EMF goes by the difference of positions, extrapolated by half a sample; commands are held, and late by
     whole samples. The force of a drive that is off is 0. A log with a force is returned as it is.

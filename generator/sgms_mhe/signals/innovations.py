@@ -1,4 +1,4 @@
-"""Innovations of an estimator as a judge of its weights: their likelihood, and the noise that they support."""
+"""Innovations of an estimator as a judge of its weights: their likelihood, and the noise they support."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ NOISE_FITS: Final = (0.1, 3.0)
 
 
 def counted_innovations(estimates: Estimates, counted: Mask) -> tuple[Array, Array]:
-    """Innovations of counted updates (u) [N], and the variances that were predicted of them; a refused one is far off.
+    """Innovations of counted updates (u) [N], and the variances predicted of them; a refused one is far off.
 
     None is further off than `MOST_RATIO` says.
     """
@@ -42,7 +42,7 @@ def innovation_loss(innovation: Array, variance: Array) -> Array:
 def integrate_innovations(innovation: Array, variance: Array, updates: int) -> tuple[Array, Array]:
     """Errors of a motion that the model predicts from where it was so many updates before, and their variances.
 
-    The sum over the innovations since, each by the updates that it has moved the axis: the second integral, over
+    The sum over the innovations since, each by the updates it has moved the axis: the second integral, over
     period^2 / mass. Independent innovations have the variance; correlated ones make the error larger.
     """
     weights = np.arange(1.0, updates + 1.0)
@@ -73,7 +73,7 @@ def find_colour(records: Sequence[Estimates]) -> float:
 
 
 def stated_noise(estimates: Estimates) -> float:
-    """Measurement noise that the innovations speak for over the one that the machine file states; NaN: cannot tell.
+    """Measurement noise the innovations speak for over the one that the machine file states; NaN: cannot tell.
 
     By their median, which faults do not move: of a normal number's square it is 0.455.
     """

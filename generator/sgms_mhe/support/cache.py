@@ -175,7 +175,7 @@ class _Folder:
             os.unlink(name, dir_fd=self._descriptor)
 
     def write(self, name: str, content: bytes) -> Path:
-        """Write a file that the user alone may read, write and run, whole or not at all."""
+        """Write a file the user alone may read, write and run, whole or not at all."""
         try:
             # A folder of its own, so that an interrupt leaves nothing behind.
             with tempfile.TemporaryDirectory(dir=self.path, prefix="part-") as part:

@@ -26,7 +26,7 @@ def log_decision(stage: str, rule: str, **facts: Any) -> None:
     Args:
         stage: of the analysis, as in docs/files.md: `search`, `rivals`, `verdict`, ...
         rule: that decides.
-        facts: the numbers that it decides on, its limits and its outcome; JSON types, numpy scalars.
+        facts: the numbers it decides on, its limits and its outcome; JSON types, numpy scalars.
     """
     logger = _LOGGER.getChild(stage)
     if logger.isEnabledFor(logging.DEBUG):

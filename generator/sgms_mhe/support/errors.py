@@ -95,7 +95,7 @@ class LogWarning(UserWarning):
 
 
 class MachineWarning(UserWarning):
-    """Sentence on a machine file that is read as it stands, but may be outdated."""
+    """Sentence on a machine file read as it stands, but may be outdated."""
 
 
 class BuildError(Exception):

@@ -12,5 +12,5 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def name_distribution(entry: EntryPoint) -> str:
-    """Return name and version of the distribution that an entry point comes from."""
+    """Return name and version of the distribution an entry point comes from."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a distribution without a name"

@@ -1,4 +1,4 @@
-"""Mark of a function's parameters that the command line offers as options."""
+"""Mark of a function's parameters the command line offers as options."""
 
 from dataclasses import dataclass
 

@@ -22,7 +22,7 @@ VARIABLE: Final = "SGMS_MHE_WORKERS"
 
 
 def workers() -> int:
-    """How many pieces are worked on at a time: SGMS_MHE_WORKERS, or the cores that this process may use.
+    """How many pieces are worked on at a time: SGMS_MHE_WORKERS, or the cores this process may use.
 
     Raises:
         InputError: it states no positive number.
@@ -164,7 +164,7 @@ _cores = _Cores()
 
 
 def _help(batch: _Batch[Any]) -> None:
-    """Work on a batch with a core that was taken for it."""
+    """Work on a batch with a core taken for it."""
     try:
         batch.work()
     finally:

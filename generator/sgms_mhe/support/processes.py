@@ -186,7 +186,7 @@ class _Child:
         return self.done >= _TASKS_PER_CHILD or self._process.poll() is not None
 
     def kill(self) -> None:
-        """From another thread: whoever waits for an answer hears that the process died."""
+        """From another thread: whoever waits for an answer hears the process died."""
         self._process.kill()
         self._process.wait()
 

@@ -156,7 +156,7 @@ class Statement:
         value: SI; NaN where it has none.
         interval: two standard deviations to either side, or 95 % by blocks; None where it is not known.
         unit: of both.
-        numbers: that the rule decides on, and names that its sentence needs.
+        numbers: that the rule decides on, and names its sentence needs.
         next: motion, or other move, that would decide it; None where nothing is to be done.
     """
 

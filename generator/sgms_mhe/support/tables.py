@@ -12,7 +12,7 @@ class CsvTable:
     Attributes:
         title: one line.
         formats: format specification of each column, in the order of the columns; "" for text.
-        rows: one mapping per row; a column that a row lacks stays empty.
+        rows: one mapping per row; a column a row lacks stays empty.
         notes: lines below it.
     """
 

@@ -68,7 +68,7 @@ def compiler() -> tuple[str, ...]:
 
 @lru_cache
 def wide_flags() -> tuple[str, ...]:
-    """Flags for code that this host alone runs: its wide registers, which change how fast it is and no result.
+    """Flags for code this host alone runs: its wide registers, which change how fast it is and no result.
 
     Empty where the host has none or the compiler does not know them. Such code is kept apart: flags are part of a name.
     """

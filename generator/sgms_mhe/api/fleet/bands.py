@@ -122,7 +122,7 @@ def find_steps(values: Array, stated: float) -> list[int]:
 
     Args:
         values: in the order of time (n).
-        stated: standard deviation that a value has at least.
+        stated: standard deviation a value has at least.
     """
     count = len(values)
     if count < LEAST_LIFE:

@@ -29,7 +29,7 @@ _USUAL: Final = frozenset({"hold", "filling"})
 
 @dataclass(frozen=True)
 class FleetNumber:
-    """A number that a log determines: one standard deviation, and the machine file's value (NaN where it has none).
+    """A number a log determines: one standard deviation, and the machine file's value (NaN where it has none).
 
     The name is that of a linear axis, an effect's label before its parameter: `coulomb`, `force_ripple.amplitude_N`.
     """
@@ -170,7 +170,7 @@ def _identify(row: Row, machine: Machine | None, table: Mapping[str, Any], folde
 
 
 def machine_name(axis: str) -> str:
-    """A name that a machine may have, out of that of an axis."""
+    """A name a machine may have, out of that of an axis."""
     plain = re.sub(r"\W+", "_", axis, flags=re.ASCII).strip("_").lower() or "axis"
     return plain if plain[0].isalpha() else f"axis_{plain}"
 

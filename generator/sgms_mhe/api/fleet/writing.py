@@ -84,7 +84,7 @@ def _number(kind: Kind, number: FleetNumber, point: FleetPoint) -> dict[str, Any
 
 
 def results_csv(results: Mapping[str, Any]) -> str:
-    """Content of results.csv, of results.json: a row each; a number that a row does not determine stays empty."""
+    """Content of results.csv, of results.json: a row each; a number a row does not determine stays empty."""
     names = dict.fromkeys(number["name"] for row in results["rows"] for number in row["numbers"])
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")

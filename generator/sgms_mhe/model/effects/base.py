@@ -69,7 +69,7 @@ class BaseNumber:
         return tuple(f"{self.name}_{i + 1}" for i in range(elements)) if self.array else (self.name,)
 
     def element(self, column: str) -> int:
-        """Index of the element that a column of an array is of, from 0."""
+        """Index of the element a column of an array is of, from 0."""
         return int(column.rpartition("_")[2]) - 1
 
 
@@ -207,7 +207,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = {
 
 
 def base_number(column: str) -> BaseNumber | None:
-    """The number of the base model that a column of results (`coulomb`, `stiffness_2`) is of; None if it is of none."""
+    """The number of the base model a column of results (`coulomb`, `stiffness_2`) is of; None if it is of none."""
     numbers = (number for cause in BASE_CAUSES.values() for number in cause.numbers)
     return next((number for number in numbers if number.holds(column)), None)
 

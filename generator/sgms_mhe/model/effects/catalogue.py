@@ -87,7 +87,7 @@ def _offers() -> Mapping[str, tuple[_Offer, ...]]:
 
 @cache
 def _outcome(name: str) -> EffectDefinition | InputError:
-    """The effect that is offered under a name, or the error of the offer."""
+    """The effect offered under a name, or the error of the offer."""
     first, *others = _offers()[name]
     where = f"entry point {GROUP}.{name}"
     if name in EFFECT_NAMES or name in BASE_CAUSES:
@@ -143,7 +143,7 @@ def effect_definition(name: str) -> EffectDefinition:
 
 
 def own_effects(kind: Kind) -> tuple[str, ...]:
-    """This package's effects that an axis of a kind may have."""
+    """This package's effects an axis of a kind may have."""
     return tuple(name for name in EFFECT_NAMES if kind in effect_definition(name).kinds)
 
 
@@ -207,7 +207,7 @@ def cause(name: str) -> CauseDefinition:
 
 
 def find_causes(text: str) -> tuple[str, ...]:
-    """Return the causes that a text names, or whose motion shows another subject that it names, each once."""
+    """Return the causes a text names, or whose motion shows another subject it names, each once."""
     others = {"element": "stiffness", "law": "stiffness", "mass": "mass_mismatch", "inertia": "mass_mismatch"}
     names = dict.fromkeys(others.get(name, name) for name in re.findall(r"[a-z_]+", text))
     return tuple(name for name in names if name in cause_names())

@@ -27,7 +27,7 @@ def _never(_: Mapping[str, float], __: Extents) -> bool:
 
 @dataclass(frozen=True)
 class Simpler:
-    """Simpler causes that an effect has as a limit.
+    """Simpler causes an effect has as a limit.
 
     Attributes:
         causes: their names. One of them is meant unless the effect explains something more that matters.

@@ -32,7 +32,7 @@ class DefinitionFault:
 
 
 def faults_of(definition: EffectDefinition, causes: Container[str]) -> Iterator[DefinitionFault]:
-    """Everything that is wrong with a definition; `causes`: names that it may refer to."""
+    """Everything that is wrong with a definition; `causes`: names it may refer to."""
     if not _NAME.fullmatch(definition.name):
         yield DefinitionFault("name", definition.name, "a name of lower-case words joined by underscores")
     if definition.stage not in STAGES:
@@ -88,7 +88,7 @@ def _parameter(parameter: EffectParameter) -> Iterator[DefinitionFault]:
 
 
 def _search(definition: EffectDefinition) -> Iterator[DefinitionFault]:
-    """Names that the search refers to."""
+    """Names the search refers to."""
     own = {parameter.name: parameter for parameter in definition.parameters}
     sizes: tuple[str | None, ...] = ()
     others: tuple[str | None, ...] = ()

@@ -94,7 +94,7 @@ class EffectDefinition(CauseDefinition):
     plant_force: PlantForce | None = None
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return the parameter called `name`, or that has an entry of this name; KeyError if there is none."""
+        """Return the parameter called `name`, or the one with an entry of this name; KeyError if there is none."""
         for parameter in self.parameters:
             if parameter.holds(name):
                 return parameter
@@ -130,7 +130,7 @@ class EffectDefinition(CauseDefinition):
 
     @property
     def main(self) -> tuple[str, ...]:
-        """Names of the parameters that a fit frees."""
+        """Names of the parameters a fit frees."""
         return tuple(parameter.name for parameter in self.parameters if parameter.main)
 
     @property
@@ -145,7 +145,7 @@ class EffectDefinition(CauseDefinition):
 
     @property
     def learned(self) -> bool:
-        """Return True if its numbers are a table that a diagnosis learns at once."""
+        """Return True if its numbers are a table a diagnosis learns at once."""
         return isinstance(self.search, Unsearched)
 
     @property

@@ -1,4 +1,4 @@
-"""Excitation that identifies an effect: a sentence, and numbers that a program can check."""
+"""Excitation that identifies an effect: a sentence, and numbers a program can check."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class Excitation:
     needs: tuple[Need, ...] = ()
 
     def unmet(self, found: Mapping[Measure, float], parameters: Mapping[str, float]) -> tuple[Need, ...]:
-        """Needs that a log with these measures does not meet; `parameters` are the effect's, fitted or assumed."""
+        """Needs a log with these measures does not meet; `parameters` are the effect's, fitted or assumed."""
         return tuple(
             need
             for need in self.needs

@@ -79,7 +79,7 @@ def add_lag(axis: SymbolicAxis, name: str, signal: ca.SX, time_constant: ca.SX |
 
 
 def shortest_lag(axis: SymbolicAxis) -> float:
-    """The shortest time constant [s] that is integrated as it is."""
+    """The shortest time constant [s] integrated as it is."""
     return _SHORTEST_LAG * axis.step
 
 

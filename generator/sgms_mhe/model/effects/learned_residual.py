@@ -1,4 +1,4 @@
-"""A force that a diagnosis learned and has no name for: a table over place, speed and travel since a reversal.
+"""A force a diagnosis learned and has no name for: a table over place, speed and travel since a reversal.
 
 The speed may be one that follows late: friction that remembers a time and not a way.
 """

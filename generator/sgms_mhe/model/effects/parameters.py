@@ -72,7 +72,7 @@ class EffectParameter:
         array: whether it is a list, whose entries results name one by one; the lists of an effect are equally long.
         whole: whether it counts something.
         step: how far one step of a fit may move it.
-        times: the size that it is multiplied with: the force is linear in their product, which a fit moves.
+        times: the size it is multiplied with: the force is linear in their product, which a fit moves.
         least, most: limits of its identifiability, beyond `lower` and `upper`.
     """
 
@@ -108,7 +108,7 @@ class EffectParameter:
 
     @property
     def is_choice(self) -> bool:
-        """Return True if it is a list that a search chooses, each entry another one."""
+        """Return True if it is a list a search chooses, each entry another one."""
         return self.array and self.frozen
 
     @property
@@ -129,7 +129,7 @@ class EffectParameter:
         return f"{self.name.removesuffix(unit)}_{index}{unit}"
 
     def index(self, name: str) -> int:
-        """Return the index of the entry that a name of results is of, from 1 on; 0: of none."""
+        """Return the index of the entry a name of results is of, from 1 on; 0: of none."""
         unit = suffix_of(self.name)
         stem, _, index = name.removesuffix(unit).rpartition("_")
         own = self.array and name.endswith(unit) and stem == self.name.removesuffix(unit)

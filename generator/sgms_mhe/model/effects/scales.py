@@ -1,4 +1,4 @@
-"""The sizes that a machine sets: units of effects, which know no machine themselves."""
+"""The sizes a machine sets: units of effects, which know no machine themselves."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,7 @@
 """How a diagnosis looks for an effect: its trials, and the force a trial adds to the model's.
 
-To first order an effect adds columns to the model's derivatives: columns in the sizes that it is linear in, given the
-few numbers that it is not linear in (pitch, frequency, time constant). A strategy describes these columns; the
+To first order an effect adds columns to the model's derivatives: columns in the sizes it is linear in, given the
+few numbers it is not linear in (pitch, frequency, time constant). A strategy describes these columns; the
 engines that try them live in the diagnosis and know no effect.
 """
 
@@ -39,9 +39,9 @@ class Columns:
         parameters: the effect's parameters from the given numbers and the sizes found (k).
         grid: the numbers to try.
         tests: how many independent trials the grid amounts to.
-        own_size: the given number that the size must come out as: a lag is its own size. Of two trials that explain as
+        own_size: the given number the size must come out as: a lag is its own size. Of two trials that explain as
             much the one whose size agrees with it counts.
-        variants: the numbers that an identification from nothing tries, none given first; a diagnosis tries that alone.
+        variants: the numbers an identification from nothing tries, none given first; a diagnosis tries that alone.
         rise: of a contribution to the level the size, if any, by which it grows towards low speed as the Stribeck
             effect does: its force per unit is that of the column times that effect's share.
         exact: the size whose column is taken from the model's own derivative in the end, where `columns` are rough: a
@@ -138,7 +138,7 @@ class Trials:
     Attributes:
         grid: values of one parameter.
         through: a short cut where the effect's own equations need many steps: the elements' moves per sample
-            (n) [m], from the mass's moves (n) [m], the force that its elements push back with (n) [N] and the trial.
+            (n) [m], from the mass's moves (n) [m], the force its elements push back with (n) [N] and the trial.
     """
 
     grid: Grid

@@ -1,4 +1,4 @@
-"""Common parts of effects of a gear: the torque that the drive transmits."""
+"""Common parts of effects of a gear: the torque the drive transmits."""
 
 import numpy as np
 
