@@ -361,6 +361,28 @@ def _switching() -> dict[str, Variant]:
     }
 
 
+LOOP = {"torque_constant": 20.0, "resistance": 2.0, "supply": 48.0, "gain": 32.0, "gain_unit": 12.0}
+LOOP |= {"kind": "position_loop"}
+"""A loop with what it has to have; the next one has all that it may have besides."""
+LOOP_WITH_ALL = {**LOOP, "start": 0.03, "clamp": 0.4, "delay": 7e-4, "speed_limit": 0.2}
+
+
+def _commanded() -> dict[str, Variant]:
+    """Axes whose command is no force: drives with all keys and with the least of them, in both precisions."""
+    voltage = {"kind": "voltage", "torque_constant": 20.0, "resistance": 2.0}
+    single = {"code": {"precision": "single"}}
+    return {
+        "position loop": Variant({"drive": LOOP}),
+        "position loop, single": Variant({"drive": LOOP, **single}),
+        "position loop with all": Variant({"drive": LOOP_WITH_ALL}, selftest=True),
+        "position loop with all, single": Variant({"drive": LOOP_WITH_ALL, **single}, selftest=True),
+        "voltage": Variant({"drive": voltage}, selftest=True),
+        "voltage with all, single": Variant(
+            {"drive": {**voltage, "supply": 48.0, "clamp": 0.9, "delay": 4e-4}, **single}
+        ),
+    }
+
+
 def _single(variants: Mapping[str, Variant]) -> dict[str, Variant]:
     """What a precision may change, in single precision: one of each kind of code."""
     names = """
@@ -410,7 +432,7 @@ def _machines() -> dict[str, Variant]:
 
 def _all() -> dict[str, Variant]:
     double = _integration() | _elements() | _estimation() | _effects() | _geared() | _compensation() | _switching()
-    return double | _single(double) | _machines()
+    return double | _single(double) | _commanded() | _machines()
 
 
 VARIANTS: Mapping[str, Variant] = _all()

@@ -24,6 +24,7 @@ PACKAGES = (
     "horizon 1", "bounds of two, 5 merged", "linear model", "compensation, effects",
     "every effect, single", "every effect, fixed, rk4, 4 merged",
     "effects: time", "effects: upstream, 5 merged, single", "toy, states", "toy, single",
+    "position loop with all, single", "voltage",
 )  # fmt: skip
 """Variants whose code differs in kind: double and single precision, MHE and filter, effects."""
 

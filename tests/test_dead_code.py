@@ -100,7 +100,7 @@ SHAPES = (
     "flow", "flow, ekf", "flow, newest, single", "flow, 5 merged", "flow, all merged", "rk4, fixed", "rk4, all",
     "rk4, 4 merged, newest", "rk4, ekf", "horizon 1", "n_z 1", "micro-viscous", "accuracy",
     "compensation off", "every effect, all", "every effect, fixed, rk4, 4 merged", "effects: upstream, 5 merged",
-    "linear model", "toy, states",
+    "linear model", "toy, states", "position loop with all", "voltage",
 )  # fmt: skip
 """Variants whose code differs in kind."""
 

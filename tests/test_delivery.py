@@ -13,7 +13,7 @@ import pytest
 
 import c_packages
 from c_packages import PRECISIONS, STRICT, build, compile_object, run, symbols, written
-from package_variants import VARIANTS
+from package_variants import LOOP_WITH_ALL, VARIANTS
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.support.errors import InputError
@@ -39,6 +39,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "double": {"code": {"precision": "double"}},
     "single": {"code": {"precision": "single"}},
     "ekf": {"code": {"precision": "double"}, "estimator": {"kind": "ekf"}},
+    "loop": {"code": {"precision": "single"}, "drive": LOOP_WITH_ALL},
 }
 
 
@@ -50,14 +51,19 @@ def package_of(kind: str) -> Package:
     return c_packages.package_of(selftest=True, **KINDS[kind])
 
 
-each_kind = pytest.mark.parametrize("kind", ["double", "single", "ekf", "rotary"])
+each_kind = pytest.mark.parametrize("kind", ["double", "single", "ekf", "rotary", "loop"])
 
 
 def blocks(package: Package) -> list[str]:
-    """C on the package's page: one task; two tasks; the question for an estimate; a power cycle."""
+    """C on the package's page: one task; two tasks; the question for an estimate; a power cycle, with a drive."""
     found = re.findall(r"```c\n(.*?)```", package.files["README.md"], flags=re.DOTALL)
-    assert len(found) == 4
-    return found
+    assert len(found) == 4 + has_drive(package)
+    return [*found[:3], "".join(found[3:])]
+
+
+def has_drive(package: Package) -> bool:
+    """True where the command is no force."""
+    return package.machine.drive.kind != "force"
 
 
 @each_kind
@@ -71,7 +77,10 @@ def test_lines_of_the_page_compile_and_both_ways_say_the_same(kind: str, require
     prototypes = f'#include "{name}.h"\n#define COUNTS {counts}\n' + PROTOTYPES.replace("REAL", f"{name}_real")
     above = f"#define fast_task unused_fast_task\n{prototypes}{one}#undef fast_task\n"
     question = f"int ask({name}_estimate_t *estimate);\n{ask}"
-    question += f"int after_power_on({name}_saved_t *);\nint before_power_off({name}_saved_t *);\n{cycle}"
+    question += f"int after_power_on({name}_saved_t *);\nint before_power_off({name}_saved_t *);\n"
+    if has_drive(package):
+        question += f"{name}_real commanded_task({name}_position, {name}_position, bool);\n"
+    question += cycle
     programs = {
         "one": (prototypes + one + question + MOTION, ""),
         "two": (above + prototypes + two + MOTION, "if (k % 100 == 40) slow_task();"),
@@ -99,7 +108,7 @@ def test_page_states_sizes_as_compilers_find_them(kind: str, require_tool: Tool,
     name, folder = package.machine.name, written(package, tmp_path)
     page = package.files["README.md"]
     stated = {what: int(size) for size, what in re.findall(r"\| (\d+) \| `sizeof\((\w+)\)`", page)}
-    assert stated.keys() == {f"{name}_t", f"{name}_estimate_t"}
+    assert stated.keys() == {f"{name}_t", f"{name}_estimate_t"} | ({f"{name}_drive_t"} if has_drive(package) else set())
     checks = "".join(f"char {what}_is[sizeof({what}) == {size} ? 1 : -1];\n" for what, size in stated.items())
     (tmp_path / "sizes.c").write_text(f'#include "{name}.h"\n{checks}')
     run(require_tool("gcc"), "-std=c99", f"-I{folder}", "-c", tmp_path / "sizes.c", "-o", tmp_path / "sizes.o")

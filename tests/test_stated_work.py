@@ -37,6 +37,8 @@ SHAPES = (
     "fixed, all parameters", "compensation, longest delay", "compensation, rk4",
     "compensation, flow, 5 merged, single", "switching", "switching, 5 merged, all",
     "switching, levels", "switching, levels, 5 merged", "switching, compensation",
+    "position loop", "position loop, single", "position loop with all", "position loop with all, single", "voltage",
+    "voltage with all, single",
 )  # fmt: skip
 """Variants whose work differs in kind."""
 LONG = ("every effect, single", "effects: upstream, newest, rk4", "effects: upstream")
@@ -47,12 +49,18 @@ MOST_OVER_COUNTED = {"sample": 2.1, "unit": 2.0, "prepare": 2.2, "update": 3.3, 
 def stated(package: Package) -> dict[str, int]:
     """What the public header says."""
     header, config = (package.files[f"{package.machine.name}{end}.h"] for end in ("", "_config"))
-    found = dict(re.findall(r"^ \*   (tick|sample|prepare|feedback|an update)(?:\(\))? +(\d+)", header, re.MULTILINE))
+    calls = r"^ \*   (tick|sample|prepare|feedback|an update|a command)(?:\(\))? +(\d+)"
+    found = dict(re.findall(calls, header, re.MULTILINE))
     lines = re.findall(r"^ \*   .*\d+   .*$", header, re.MULTILINE)
-    assert len(found) == 5 and all(line in config for line in lines[:5])
+    assert len(found) == 5 + has_drive(package) and all(line in config for line in lines[: len(found)])
     unit = re.search(r"units of at most (\d+)", header)
     assert unit
-    return {name.removeprefix("an "): int(value) for name, value in found.items()} | {"unit": int(unit[1])}
+    return {name.split()[-1]: int(value) for name, value in found.items()} | {"unit": int(unit[1])}
+
+
+def has_drive(package: Package) -> bool:
+    """True where the command is no force."""
+    return package.machine.drive.kind != "force"
 
 
 class Counter:
@@ -74,6 +82,7 @@ class Counter:
             f"-DSGMS_MACHINE={name}",
             f'-DSGMS_MACHINE_SOURCE="{name}.c"',
             f"-DHAS_UNITS={int(package.machine.estimator.kind == 'mhe')}",
+            f"-DHAS_DRIVE={int(has_drive(package))}",
         ]
         self.program = folder / "operations"
         flags = ["-std=c++17", "-O1", "-w", f"-I{PROBES}", f"-I{source}", *definitions]
@@ -142,6 +151,7 @@ def test_stated_work_holds(title: str, require_tool: Tool, tmp_path: Path) -> No
     most, said = counted(settings, Counter(package, require_tool, tmp_path)), stated(package)
     assert all(most[call] <= said[call] for call in said), (most, said)
     assert said["tick"] <= 4.4 * most["tick"], (most, said)
+    assert said.get("command", 0) <= 1.6 * most.get("command", 0), (most, said)
 
 
 # --- the budget ----------------------------------------------------------------------------------------------------

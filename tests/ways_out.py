@@ -58,8 +58,8 @@ class _Output:
     ways: tuple[str, ...]
 
 
-def spoil_outputs(package: Package, folder: Path) -> list[Spoilt]:
-    """Run the self-test with each fault of each output of a package.
+def spoil_outputs(package: Package, folder: Path, calls_of: str = "") -> list[Spoilt]:
+    """Run the self-test with each fault of each output of a package, or of the calls whose names begin so.
 
     Raises:
         BuildError: it does not compile.
@@ -73,7 +73,8 @@ def spoil_outputs(package: Package, folder: Path) -> list[Spoilt]:
     sources = [source, folder / name / f"{name}.c", folder / name / f"{name}_selftest.c"]
     words = ["-std=c99", "-O1", "-ffp-contract=off", *definitions(package), f"-I{folder / name}", f"-I{C_DIR}"]
     run_or_raise(["gcc", *words, *sources, *wrapped, "-o", program])
-    chosen = [(o, w, f) for o, of in enumerate(outputs) for w in of.ways for f in range(len(FAULTS))]
+    spoilt = [(o, of) for o, of in enumerate(outputs) if of.title.startswith(calls_of)]
+    chosen = [(o, w, f) for o, of in spoilt for w in of.ways for f in range(len(FAULTS))]
     asked = "".join(f"{o} {WAYS.index(w) if w != 'any' else -1} {f}\n" for o, w, f in chosen)
     answers = subprocess.run([program], input=asked, capture_output=True, text=True, check=True).stdout.splitlines()
     return [

@@ -1,7 +1,8 @@
 /* Runs pairs of doubles (position [m], force [N]) of a file through three axes, one by tick() and two by feedback() and
  * the units of prepare(), one of them by sample(), the other by insert() with the velocity that no filter has smoothed,
  * and prints the most operations that a call took. What is known of parameters may always grow. Compiled with a package
- * whose number type is `counted`: -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_SOURCE='"etel_xy.c"' -DHAS_UNITS=1 */
+ * whose number type is `counted`: -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_SOURCE='"etel_xy.c"' -DHAS_UNITS=1
+ * -DHAS_DRIVE=0 */
 #include "counted.hpp"
 
 #include SGMS_MACHINE_SOURCE
@@ -33,6 +34,29 @@ static long prepare_units(CALL(t) * axis)
 #endif
     return all;
 }
+
+#if HAS_DRIVE
+static CALL(drive_t) drive;
+static long most_command;
+
+static CALL(position) command_of(const CALL(position) *, double x)
+{
+    return CALL(position_from_metres)(x);
+}
+
+static counted command_of(const counted *, double x)
+{
+    return x;
+}
+
+/* Both calls of a drive. */
+static void command(CALL(position) position, double x)
+{
+    counted_operations = 0;
+    (void)CALL(drive_command)(CALL(drive_force)(&drive, position, command_of(drive.sent, x), true));
+    keep(&most_command, counted_operations);
+}
+#endif
 
 /* What stands behind a sample: the update where it is due. `before` is what the interval has taken. */
 static void finish(CALL(t) * axis, long *before)
@@ -82,9 +106,15 @@ int main(int argc, char **argv)
         (void)CALL(insert)(&by_signals, &signals);
         finish(&by_signals, &by_signals_update);
         last = sample[0];
+#if HAS_DRIVE
+        command(position, sample[1]);
+#endif
     }
     std::fclose(file);
     std::printf("sample %ld\ntick %ld\nunit %ld\n", most_sample, most_tick, most_unit);
     std::printf("prepare %ld\nfeedback %ld\nupdate %ld\n", most_prepare, most_feedback, most_update);
+#if HAS_DRIVE
+    std::printf("command %ld\n", most_command);
+#endif
     return 0;
 }

@@ -116,12 +116,15 @@ def _content(trial: TargetTrial, host: HostComparison) -> dict[str, Any]:
 
 
 def _text(trial: TargetTrial, host: HostComparison, flags: tuple[str, ...] | list[str]) -> str:
+    from sgms_bench.target.trial import DRIVE_CALLS
+
     memory = trial.memory
     meaning = {"update": "update", "sample": "sample, of an update", "tick": "tick, alone"}
     rows = [
         (meaning.get(name, name), f"{counts.mean():.0f}", str(counts.max()), str(memory.stack.get(name, "")))
         for name, counts in _calls(trial).items()
     ]
+    rows += [(call, "", "", str(memory.stack[call])) for call in DRIVE_CALLS if call in memory.stack]
     worst = max(host.comparison.quantities, key=lambda quantity: quantity.relative / quantity.tolerance)
     if host.identical:
         verdict = "the same as on this host to the last bit"

@@ -36,6 +36,9 @@ Progress = Callable[[int, int], None]
 CALLS: Final = ("init", "sample", "feedback", "prepare", "tick", "estimate")
 """Functions of the package, each on a stack of its own, in the order of `trial.c`."""
 
+DRIVE_CALLS: Final = ("drive_init", "drive_force", "drive_command")
+"""Of a commanded axis besides, which no run calls."""
+
 _SAMPLE: Final = np.dtype([("position", "<i8"), ("force", "<f4"), ("unused", "<f4")])
 
 
@@ -48,8 +51,9 @@ class TargetMemory:
         helpers: what it needs besides, from the compiler's own library and memcpy, memset.
         axis: one estimator.
         data: writable memory of its own, which it does not have.
-        stack: of every function called, by name: its deepest call path, as the compiler states the frames.
-        used: the same as it was written in the run, never more.
+        stack: of every function, those of a drive too, by name: its deepest call path, as the compiler states the
+            frames.
+        used: the same of those called, as it was written in the run, never more.
     """
 
     package: int
@@ -215,6 +219,8 @@ def _trial(
     rows = np.frombuffer(content[4 * (head + first) : -4 * tail], dtype=row)
     used = dict(zip(CALLS, map(int, np.frombuffer(content[-4 * tail :], dtype="<u4")), strict=True))
     stack = {call: program.paths[f"{machine.name}_{call}"] for call in CALLS}
+    if machine.drive.kind != "force":
+        stack |= {call: program.paths[f"{machine.name}_{call}"] for call in DRIVE_CALLS}
     nothing = int(words[2])
 
     def counted(ticks: NDArray[Any]) -> Counts:

@@ -38,6 +38,7 @@ class Work:
         prepare: of prepare(). feedback: of feedback() where prepare() ran before any measurement inside the interval
             came.
         update: of all calls of one interval.
+        command: of drive_force() and drive_command(); 0 without a drive.
         largest: share of the group of blocks that takes most of a tick.
     """
 
@@ -47,6 +48,7 @@ class Work:
     prepare: int
     feedback: int
     update: int
+    command: int
     largest: Part
 
     @property
@@ -58,6 +60,7 @@ class Work:
             ("prepare()", self.prepare, f"in units of at most {self.unit}"),
             ("feedback()", self.feedback, "after prepare()"),
             ("an update", self.update, "all calls of an interval"),
+            *([("a command", self.command, "drive_force() and drive_command()")] if self.command else []),
         )
 
 

@@ -4,22 +4,14 @@ For processors on which numbers of 64 bits lie at multiples of eight bytes, as t
 """
 
 import ast
+import ctypes
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-_SCALARS: Final[Mapping[str, int]] = {
-    "double": 8,
-    "float": 4,
-    "int": 4,
-    "int32_t": 4,
-    "int64_t": 8,
-    "uint8_t": 1,
-    "uint32_t": 4,
-    "uint64_t": 8,
-}
+_SCALARS: Final = ("double", "float", "int", "int32_t", "int64_t", "uint8_t", "uint32_t", "uint64_t")
 _OPERATIONS: Final[Mapping[type[ast.operator], Callable[[int, int], int]]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -45,6 +37,7 @@ class Memory:
         saved: of data kept over a power cycle.
         tables: of the estimator's constant tables.
         vectors: of those of the self-test; 0 where there is none.
+        drive: of the memory of a drive; 0 where there is none.
     """
 
     axis: int
@@ -52,6 +45,7 @@ class Memory:
     saved: int
     tables: int
     vectors: int
+    drive: int
 
 
 @dataclass(frozen=True)
@@ -74,7 +68,8 @@ def memory_of(files: Mapping[str, str], name: str, real: str) -> Memory:
         if file.endswith((".c", ".h")) and file.startswith(name)
     }
     constants = _constants(code.values())
-    types = {scalar: _Type(size, size) for scalar, size in _SCALARS.items()}
+    sizes = {scalar: ctypes.sizeof(getattr(ctypes, f"c_{scalar.removesuffix('_t')}")) for scalar in _SCALARS}
+    types = {scalar: _Type(size, size) for scalar, size in sizes.items()}
     types["sgms_real"] = types[real]
     header = code[f"{name}.h"]
     for known, alias in _ALIAS.findall(header):
@@ -88,6 +83,7 @@ def memory_of(files: Mapping[str, str], name: str, real: str) -> Memory:
         saved=types[f"{name}_saved_t"].size,
         tables=sum(_tables(text, types, constants) for file, text in code.items() if file != vectors),
         vectors=_tables(code.get(vectors, ""), types, constants),
+        drive=types[f"{name}_drive_t"].size if f"{name}_drive_t" in types else 0,
     )
 
 

@@ -64,23 +64,12 @@ def render(view: PackageView, *, model_alone: bool = False) -> dict[str, str]:
     `model_alone`: the headers a model runs by without its estimator, their lines as long as they come.
     """
     name = view.package.name
-    files = {
-        f"{name}.h": "machine.h",
-        f"{name}_config.h": "config.h",
-        f"{name}_model.h": "model.h",
-        f"{name}_integrator.h": "integrator.h",
-    }
+    parts = ["config.h", "model.h", "integrator.h"]
+    parts += ["flow.h"] * (view.flow is not None) + ["table.h"] * bool(view.tables)
+    parts += ["selftest.h", "selftest.c"] * (view.vectors is not None)
+    files = {f"{name}.h": "machine.h", **{f"{name}_{part}": part for part in parts}}
     if not model_alone:
         files |= {f"{name}.c": "machine.c", f"{name}_compensation.h": "compensation.h"}
-    if view.flow is not None:
-        files[f"{name}_flow.h"] = "flow.h"
-    if view.machine.drive.kind != "force" and not model_alone:
-        files[f"{name}_drive.h"] = "drive.h"
-    if view.tables:
-        files[f"{name}_table.h"] = "table.h"
-    if view.vectors is not None:
-        files[f"{name}_selftest.h"] = "selftest.h"
-        files[f"{name}_selftest.c"] = "selftest.c"
     precision, wraps = view.machine.code.precision, not model_alone
     return {file: _render(view, template, precision, wraps=wraps) for file, template in files.items()}
 

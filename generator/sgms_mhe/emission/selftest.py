@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.emission.compensation import compensation_of
-from sgms_mhe.emission.selftest_motion import CountedMotion, selftest_motion
+from sgms_mhe.emission.selftest_drive import DriveVectors, drive_vectors
+from sgms_mhe.emission.selftest_motion import CountedMotion, round_values, selftest_motion
 from sgms_mhe.emission.variant import variant_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
@@ -17,6 +18,7 @@ from sgms_mhe.signals.chain import (
     Bridge,
     Signals,
     apply_chain,
+    hold_last,
     mean_samples,
     settle_samples,
     signal_array,
@@ -72,6 +74,7 @@ class Vectors:
         second: with other noise everywhere and all parameters within `bound` of nominal; by sample() and insert().
         bound: of the second run, about nominal, over nominal.
         other: growth of the second run's settings from one state, and one parameter, to the next.
+        drive: of a commanded axis.
     """
 
     motion: CountedMotion
@@ -83,6 +86,7 @@ class Vectors:
     set_acceleration: float
     first: ReferenceRun
     second: ReferenceRun
+    drive: DriveVectors | None
     bound: float = 0.03
     other: float = 0.25
 
@@ -144,6 +148,7 @@ def selftest_vectors(model: Model) -> Vectors:
         set_acceleration=ahead[1],
         first=_round_run(*first, tick),
         second=_round_run(*second, sample, insert),
+        drive=drive_vectors(machine),
     )
 
 
@@ -159,10 +164,9 @@ def _velocity_beyond_limit(model: Model) -> float:
     output = ca.Function("f", [model.chi, model.w, model.theta], [model.feed_forward])
     if limit is None or model.machine.compensation.delay:
         return 0.0
+    rest, nominal = np.zeros(model.n_x), np.ones(model.n_p)
     for velocity in (10.0**k for k in range(-3, 8)):
-        there, back = (
-            float(output(np.zeros(model.n_x), [0, v, 0, 0, 0], np.ones(model.n_p))) for v in (velocity, -velocity)
-        )
+        there, back = (float(output(rest, [0, v, 0, 0, 0], nominal)) for v in (velocity, -velocity))
         if min(there, -back) > 4.0 * limit:
             return velocity
     return 0.0
@@ -199,21 +203,11 @@ def _run(
 
 
 def _round_run(found: Estimates, record: NodeRecord, *forces: Array) -> ReferenceRun:
-    measured = np.array(found.friction_measured_N)
-    for k in np.flatnonzero(~record.valid[1:]):
-        measured[k] = measured[k - 1] if k > 0 else 0.0
+    measured = hold_last(np.where(record.valid[1:], found.friction_measured_N, np.nan), 0.0)
     readings = found.innovation_N, found.test_ratio, found.noise_scale
     numbers = np.column_stack([found.friction_N, measured, *readings, found.z_m, found.parameters, found.std])
-    return ReferenceRun(
-        rows=tuple(map(_round_values, numbers)),
-        statuses=tuple(int(status) for status in found.status),
-        forces=tuple(map(_round_values, forces)),
-    )
-
-
-def _round_values(values: Array) -> tuple[float, ...]:
-    """Eight significant digits: far from the last ones, which depend on the machine."""
-    return tuple(float(f"{value:.8g}") for value in values)
+    rows, statuses = tuple(map(round_values, numbers)), tuple(map(int, found.status))
+    return ReferenceRun(rows, statuses, tuple(map(round_values, forces)))
 
 
 def _force_ahead(

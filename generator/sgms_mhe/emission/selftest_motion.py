@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -130,8 +130,10 @@ def _maxwell_slip(machine: Machine, moves: Array) -> Array:
     friction = machine.friction
     stiffness = _STIFFER * np.array(friction.stiffness)
     most = np.array(friction.fraction) * friction.coulomb
-    force, forces = np.zeros(len(stiffness)), np.empty(len(moves))
-    for k, move in enumerate(moves):
-        force = np.clip(force + stiffness * move, -most, most)
-        forces[k] = force.sum()
-    return forces
+    moved = accumulate(moves, lambda force, move: np.clip(force + stiffness * move, -most, most), initial=0.0 * most)
+    return np.asarray(np.sum(list(moved)[1:], axis=1))
+
+
+def round_values(values: Array) -> tuple[float, ...]:
+    """Eight significant digits: far from the last ones, which depend on the machine."""
+    return tuple(float(f"{value:.8g}") for value in values)

@@ -21,6 +21,7 @@ from sgms_mhe.emission.operations import (
     reflection,
     variances,
 )
+from sgms_mhe.machine import Drive
 
 FILTERS = 200
 """Signal chain, and the lag of the newest position."""
@@ -76,6 +77,7 @@ def work_of(of: PackageView) -> Work:
         prepare=prepare,
         feedback=feedback + left_over,
         update=of_samples + prepare + feedback,
+        command=_count_command(of.machine.drive),
         largest=Part(
             states=tuple(of.model.state_names[i] for b in g.blocks for i in b.states),
             operations=max(shares),
@@ -83,6 +85,14 @@ def work_of(of: PackageView) -> Work:
             in_closed_form=g.follows_flow or g.switches,
         ),
     )
+
+
+def _count_command(drive: Drive) -> int:
+    """Operations of both calls of a drive: checks, velocity and back-EMF; clamp, loop, least share, way of the goal."""
+    if drive.kind == "force":
+        return 0
+    of_goal = 3 * (drive.kind == "position_loop") + 4 * bool(drive.start) + 14 * bool(drive.speed_limit)
+    return 13 + 2 * bool(drive.clamp) + of_goal
 
 
 class _LeastSquaresCost:

@@ -114,12 +114,8 @@ def predict_log(machine: Machine, log: Log, motion: FreeRun | None = None) -> Pr
 def predict_signals(machine: Machine, signals: Signals, source: str = "log") -> PredictedFriction:
     """Run the model along aligned signals; `source` names them in messages."""
     if not signals.valid.any():
-        raise InputError(
-            source,
-            "rows",
-            len(signals),
-            "a row that is valid: the filters settle first, and after every missing sample",
-        )
+        allowed = "a row that is valid: the filters settle first, and after every missing sample"
+        raise InputError(source, "rows", len(signals), allowed)
     friction = CompiledModel(step_every_sample(machine)).predict(signals).friction_N
     measured = np.where(signals.valid, signals.friction, np.nan)
     return PredictedFriction(signals.time, measured, friction, signals.force, source, machine.plant.kind)
@@ -148,12 +144,9 @@ def force_error(
     least = 1 if factor == 1 else _FILTER_LENGTH * factor
     stretches = [columns[a:b] for a, b in find_runs(counted) if b - a >= least]
     if not stretches:
-        raise InputError(
-            prediction.source,
-            f"rows from {start_s:g} to {min(end_s, float(since[-1])):g} s",
-            int(counted.sum()),
-            f"{least} valid rows without a gap (the filters settle first, and after every missing sample)",
-        )
+        part = f"rows from {start_s:g} to {min(end_s, float(since[-1])):g} s"
+        allowed = f"{least} valid rows without a gap (the filters settle first, and after every missing sample)"
+        raise InputError(prediction.source, part, int(counted.sum()), allowed)
     if factor > 1:
         # Of odd order: the usual even one has a gain below 1 at frequency zero.
         stretches = [decimate(stretch, factor, n=7, axis=0, zero_phase=True) for stretch in stretches]

@@ -95,12 +95,9 @@ class CompiledModel:
             InputError: the machine merges samples into steps.
         """
         if self.machine.sampling.merged > 1:
-            raise InputError(
-                self.machine.source,
-                "sampling.integrator.substeps",
-                self.machine.sampling.integrator.substeps,
-                "at least one per sample to run the model alone",
-            )
+            substeps = self.machine.sampling.integrator.substeps
+            allowed = "at least one per sample to run the model alone"
+            raise InputError(self.machine.source, "sampling.integrator.substeps", substeps, allowed)
         n_x, n_p = self.model.n_x, self.model.n_p
         w = signal_array(signals, self.machine.sampling.step, mean=mean_samples(self.machine))
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)

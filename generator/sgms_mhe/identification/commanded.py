@@ -5,6 +5,7 @@ No force was recorded, so the fit is one of output error. Loads the runs state t
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +17,7 @@ from sgms_mhe.configuration import G_N, carry_load, make_machine
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.search import Progress
 from sgms_mhe.identification.writing import check_toml, machine_toml
-from sgms_mhe.machine import Machine, plant_content
+from sgms_mhe.machine import Machine, merge_tables, plant_content
 from sgms_mhe.model.effects import GEAR_FRICTION, PLAY
 from sgms_mhe.recordings.free_run import COMMANDED_STEP_S, FreeRunRecord, ShotStart
 from sgms_mhe.signals.logs import Log
@@ -75,8 +76,8 @@ def identify_drive(logs: Sequence[Log], name: str, like: Machine | None, report:
     begin = _FreeRuns(logs, _begin(logs, name) if like is None else _extend(like, name), like is not None)
     spread = np.unique(np.linspace(0, len(logs) - 1, min(FEW, len(logs))).round().astype(int))
     few = begin.part(spread.tolist())
-    inertia = begin.machine.plant.moved if like is None else 0.0
-    starts = [{"mass": factor * inertia} for factor in INERTIAS] if inertia else [{"drive.clamp": c} for c in CLAMPS]
+    inertias = [factor * begin.machine.plant.moved for factor in INERTIAS]
+    starts = [{"mass": inertia} for inertia in inertias] if like is None else [{"drive.clamp": c} for c in CLAMPS]
     report(f"fits over {len(few.logs)} of {len(logs)} runs, from {len(starts)} starts")
     tried = [few.fit(few.fit(few.start(start), 20, OUTLYING[0]).x, 20, OUTLYING[1]) for start in starts]
     for start, fitted in zip(starts, tried, strict=True):
@@ -105,23 +106,14 @@ def _begin(logs: Sequence[Log], name: str) -> Machine:
     error, held = error[~moving], held[~moving]
     slope = float(np.sum(np.abs(held)) / max(np.sum(np.abs(error)), 1e-9))
     coulomb = 0.05 * gravity
+    stiffness, most = (float(f"{number:.2g}") for number in (coulomb / (2e-4 * extent), 3.0 * speed))
+    friction = {"law": "switching", "stiffness": [stiffness], "fraction": [1.0], "viscous": 0.0, "coulomb": coulomb}
     content = {
         "name": name,
         "description": "identified from commands and motion",
         "plant": {**plant_content("rotary", inertia), "weight_radius": 0.0},
-        "friction": {
-            "law": "switching",
-            "stiffness": [float(f"{coulomb / (2e-4 * extent):.2g}")],
-            "fraction": [1.0],
-            "viscous": 0.0,
-            "coulomb": coulomb,
-        },
-        "sampling": {
-            "rate": rate,
-            "update_rate": rate / 10.0,
-            "velocity_cutoff": 0.2 * rate,
-            "max_velocity": float(f"{3.0 * speed:.2g}"),
-        },
+        "friction": friction,
+        "sampling": {"rate": rate, "update_rate": rate / 10.0, "velocity_cutoff": 0.2 * rate, "max_velocity": most},
         "drive": {
             "kind": "position_loop",
             "torque_constant": constant,
@@ -163,12 +155,10 @@ class _FreeRuns:
         effects = [LOAD, SHARE] if machine.plant.kind == "rotary" else []
         radius = [RADIUS] if machine.plant.weight_radius is not None else []
         element = [STIFFNESS] if machine.friction.n_z == 1 else []
-        numbers = ["mass", *radius, "coulomb", *element, "viscous", *own, *effects]
-        self.names = numbers
+        self.names = numbers = ["mass", *radius, "coulomb", *element, "viscous", *own, *effects]
         plant = {"mass": machine.plant.moved, RADIUS: (machine.plant.weight_radius or 0.0) ** 2}
         self.nominal = np.array([plant[name] if name in plant else axis.number(name) for name in numbers])
-        force = machine.friction.coulomb
-        small = {"viscous": 0.1 * force, LOAD: 0.1, SHARE: 0.5, RADIUS: 2e-3, "drive.start": 0.02}
+        small = {"viscous": 0.1 * machine.friction.coulomb, LOAD: 0.1, SHARE: 0.5, RADIUS: 2e-3, "drive.start": 0.02}
         small["drive.delay"] = COMMANDED_STEP_S / DIFFERENCE
         self.unit = np.array([small.get(n, abs(v) or 1.0) for n, v in zip(numbers, self.nominal, strict=True)])
         limits = np.array([(0.0, 1.0) if name == RADIUS else axis.limits(name) for name in numbers]).T
@@ -182,8 +172,7 @@ class _FreeRuns:
 
     def part(self, which: Sequence[int]) -> "_FreeRuns":
         """Return the problem of some runs."""
-        other = object.__new__(_FreeRuns)
-        other.__dict__.update(vars(self))
+        other = copy(self)
         other.logs = [self.logs[k] for k in which]
         other.records, other.axes = [self.records[k] for k in which], [self.axes[k] for k in which]
         return other
@@ -293,14 +282,11 @@ def _write(problem: _FreeRuns, found: Any, name: str, play: Statement) -> Identi
     rows = zip(problem.names, x * problem.unit, problem.spread(found), at_limit, strict=True)
     numbers = tuple(_state(n, float(value), float(std), edge) for n, value, std, edge in rows)
     value = {n.name: round_number(n.value, n.std) for n in numbers}
-    content = {**machine.content, "plant": {**machine.content["plant"], **plant_content(units.kind, value["mass"])}}
-    if RADIUS in value:
-        content["plant"][RADIUS] = value[RADIUS]
-    content["friction"] = {**content["friction"], **{key: value[key] for key in ("coulomb", "viscous")}}
-    if STIFFNESS in value:
-        content["friction"]["stiffness"] = [value[STIFFNESS]]
     drive = {key.removeprefix("drive."): number for key, number in value.items() if key.startswith("drive.")}
-    content["drive"] = {**content["drive"], **drive}
+    plant = plant_content(units.kind, value["mass"]) | ({RADIUS: value[RADIUS]} if RADIUS in value else {})
+    friction: dict[str, Any] = {key: value[key] for key in ("coulomb", "viscous")}
+    friction |= {"stiffness": [value[STIFFNESS]]} if STIFFNESS in value else {}
+    content = merge_tables(machine.content, {"plant": plant, "friction": friction, "drive": drive})
     if LOAD in value:
         gear = {"ratio": value[LOAD], "inertia_ratio": value[SHARE], "friction_ratio": value[SHARE]}
         content["effects"] = [{**e, **(gear if e["name"] == GEAR_FRICTION else {})} for e in content["effects"]]

@@ -51,9 +51,8 @@ class Drive(MachineTable):
         other = given if self.kind == "force" else given & set(_LOOP) if self.kind == "voltage" else ()
         for key in sorted(other):
             raise refusal(key, getattr(self, key), f"a kind that has it; where kind is {self.kind} it does nothing")
-        needed = {"force": (), "voltage": ("torque_constant", "resistance")}.get(
-            self.kind, ("torque_constant", "resistance", "supply", "gain", "gain_unit")
-        )
+        motor = ("torque_constant", "resistance")
+        needed = {"force": (), "voltage": motor}.get(self.kind, (*motor, "supply", "gain", "gain_unit"))
         if self.clamp is not None:
             needed = (*needed, "supply")
         for key in needed:

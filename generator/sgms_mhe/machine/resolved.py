@@ -77,9 +77,9 @@ class Machine(Shown):
     def digest(self) -> str:
         """SHA-256 (hex) of the resolved content: the same wherever the file lies and however it is written.
 
-        `[diagnosis]` and `[drive]` are left out: it stands in every emitted file, and neither changes one.
+        `[diagnosis]` is left out: it stands in every emitted file, and changes none.
         """
-        emitted = {key: value for key, value in self.as_dict().items() if key not in ("diagnosis", "drive")}
+        emitted = {key: value for key, value in self.as_dict().items() if key != "diagnosis"}
         content = json.dumps(emitted, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(content.encode()).hexdigest()
 

@@ -234,12 +234,8 @@ class NativeAxis:
         for effect, values in [*((e.name, e.parameters) for e in machine.effects), *hidden_effects]:
             seen[effect] += 1
             if effect in effect_names() and machine.plant.kind not in (kinds := effect_definition(effect).kinds):
-                raise InputError(
-                    "simulation",
-                    "effect",
-                    effect,
-                    f"one for a {machine.plant.kind} axis; this is for {' or '.join(kinds)} ones",
-                )
+                allowed = f"one for a {machine.plant.kind} axis; this is for {' or '.join(kinds)} ones"
+                raise InputError("simulation", "effect", effect, allowed)
             self._add_effect(effect, effect if seen[effect] == 1 else f"{effect}_{seen[effect]}", values)
 
     def _declare_drive(self, drive: Drive, limits: Mapping[str, Limits]) -> None:
@@ -328,14 +324,9 @@ class NativeAxis:
         rows = {name: column.ctypes.data + start * (column.nbytes // n) for name, column in columns.items()}
         done = self._c.axis_run(self._memory, reference.ctypes.data, n, start, count, ctypes.byref(_Record(**rows)))
         if done < count:
-            if self._failures:
-                raise InputError("simulation", f"sample {start + done}", None, f"a `plant_force`; {self._failures[0]}")
-            raise InputError(
-                "simulation",
-                f"sample {start + done}",
-                None,
-                "parameters with which the position loop is stable; this axis runs away beyond 4e6 m or 1e9 N",
-            )
+            stable = "parameters with which the position loop is stable; this axis runs away beyond 4e6 m or 1e9 N"
+            allowed = f"a `plant_force`; {self._failures[0]}" if self._failures else stable
+            raise InputError("simulation", f"sample {start + done}", None, allowed)
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the limits of a true number."""

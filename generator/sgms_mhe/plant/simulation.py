@@ -108,9 +108,8 @@ def simulate_axis(
         InputError: a name, a rate or a number that does not fit, or an axis its controller cannot hold.
     """
     if not math.isclose(trajectory.rate, machine.sampling.rate, rel_tol=1e-9):
-        raise InputError(
-            trajectory.name, "rate", trajectory.rate, f"the machine's sampling.rate, {machine.sampling.rate:g} Hz"
-        )
+        allowed = f"the machine's sampling.rate, {machine.sampling.rate:g} Hz"
+        raise InputError(trajectory.name, "rate", trajectory.rate, allowed)
     config, loop = config or AxisConfig(), machine.drive.kind
     if loop != "force" and config.control == "position":  # its own loop, whose goal the reference is
         if loop == "voltage":

@@ -245,9 +245,8 @@ def _config(machine: Machine, rate: float, commanded: bool) -> AxisConfig:
     """Return an axis that force or command drive, sensors without errors, in steps that resolve its oscillations."""
     numbers = [(name, x) for effect in machine.effects for name, x in effect.parameters.items() if isinstance(x, float)]
     stiffness = sum(machine.friction.stiffness) + sum(abs(x) for name, x in numbers if name.endswith("_N_m"))
-    fastest = max(
-        [math.sqrt(stiffness / machine.plant.moved)] + [2.0 * math.pi * x for n, x in numbers if n.endswith("_Hz")]
-    )
+    resonances = [2.0 * math.pi * x for name, x in numbers if name.endswith("_Hz")]
+    fastest = max((math.sqrt(stiffness / machine.plant.moved), *resonances))
     longest = COMMANDED_STEP_S if commanded else LONGEST_STEP_S
     steps = math.ceil(max(1.0 / longest, STEPS_PER_RADIAN * fastest) / rate - 1e-9)
     return AxisConfig(

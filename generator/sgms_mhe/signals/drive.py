@@ -1,6 +1,7 @@
 """Commands of a log, as a machine's drive takes them, and the force it makes of them."""
 
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 
@@ -50,10 +51,8 @@ def find_force(log: Log, machine: Machine) -> Log:
     late = np.maximum(np.arange(len(log)) - 1 - round(drive.delay * log.rate), 0)
     position, acting = log.position_m, command[late]
     if drive.kind == "position_loop":
-        if drive.speed_limit:
-            most, acting = drive.speed_limit / log.rate, acting.copy()
-            for i in range(1, len(acting)):
-                acting[i] = acting[i - 1] + np.clip(acting[i] - acting[i - 1], -most, most)
+        step = (drive.speed_limit or np.inf) / log.rate
+        acting = np.array(list(accumulate(acting, lambda at, goal: at + min(max(goal - at, -step), step))))
         share = (drive.gain or 0.0) * (drive.gain_unit or 0.0) * (acting - position)
         acting = (drive.supply or 0.0) * (share + np.clip(drive.STEEP * share, -drive.start, drive.start))
     most = np.inf if drive.clamp is None else drive.clamp * (drive.supply or 0.0)
