@@ -155,6 +155,14 @@ def test_memory_is_measured(small_trial: TargetTrial, small: Machine, tmp_path: 
     assert paths["small_tick"] > paths["small_estimate"] >= LIBRARY_FRAME
 
 
+@pytest.mark.needs_arm
+def test_calls_of_a_drive_have_a_stack_too(small: Machine, small_log: Log) -> None:
+    drive = {"kind": "voltage", "torque_constant": 1.0, "resistance": 1.0}
+    memory = run_trial(override_machine(small, {"drive": drive}), small_log, M7).memory
+    assert LIBRARY_FRAME <= memory.stack["drive_command"] <= memory.stack["drive_force"] < 400
+    assert "drive_force" not in memory.used
+
+
 GRAPH = """graph: { title: "a.c"
 node: { title: "a.c:leaf" label: "leaf\\na.c:1:5\\n24 bytes (static)" }
 node: { title: "top" label: "top\\na.c:2:5\\n100 bytes (static)" }

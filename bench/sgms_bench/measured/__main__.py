@@ -40,13 +40,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             tally.add(outcome, tell)
         for motion in table.motions:
             if chosen.only is None or chosen.only in motion.name:
-                motions.append(run_motion(table, motion))
+                motions.append(run_motion(table, motion, tell))
                 tell(f"{motion.name}: {motions[-1].ours:.4g} {motions[-1].unit} ({motions[-1].seconds:.0f} s)")
     except InputError as error:
         tell(f"error: {error}")
         return 2
     tables = tally.tables() if tally.outcomes else []
-    for shown in [*tables, *([table_of_motions(motions)] if motions else [])]:
+    for shown in [*tables, *(table_of_motions(motions) if motions else [])]:
         sys.stdout.write(f"{shown}\n")
     return 0
 

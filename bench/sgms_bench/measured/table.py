@@ -71,6 +71,15 @@ class MeasuredRecord(BaseModel):
         return self.begin or (("start", "identify") if self.machine is None else ("file",))
 
 
+class MotorConstants(BaseModel):
+    """Published constants of a motor, which motion alone does not tell from its clamp."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    torque_constant: _Positive
+    resistance: _Positive
+
+
 class MeasuredMotion(BaseModel):
     """One entry `[[motions]]`: a commanded axis, judged by the motion that its commands make.
 
@@ -78,7 +87,10 @@ class MeasuredMotion(BaseModel):
         name: of the row.
         logs: pattern of the files that are fitted.
         other: pattern of those that they are compared on: the same runs again, in the same order.
+        unseen: patterns of the fitted files' names that a second fit leaves out, by what they have in common.
         published: mean absolute errors of others by name [m, rad].
+        wanted: the same, that ours is to be below.
+        constants: of the motor, by which the clamp is stated.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -86,7 +98,10 @@ class MeasuredMotion(BaseModel):
     name: str
     logs: str
     other: str
+    unseen: dict[str, str] = Field(default_factory=dict)
     published: dict[str, float] = Field(default_factory=dict)
+    wanted: _Positive | None = None
+    constants: MotorConstants | None = None
 
 
 class _Table(BaseModel):
