@@ -241,15 +241,7 @@ def _friction_before_chain(whole: Subject, fit: Fit, motion: Array) -> Array:
     for first in range(0, m, rows):
         lead, last = min(first, rows // LEADS), min(m, first + rows)
         samples = slice((first - lead) * factor, last * factor)
-        position, velocity, acceleration, force = np.ascontiguousarray(motion[samples].T)
-        signals = replace(
-            recording.signals.part(samples),
-            position=position,
-            velocity=velocity,
-            acceleration=acceleration,
-            force=force,
-            delay=0.0,
-        )
+        signals = recording.signals.part(samples).before_chain(motion[samples])
         clock = recording.clock[samples] + recording.signals.delay
         before = Subject.of(whole.machine, _make_uncounted(recording.machine, signals, clock, 1))
         friction[first:last] = row_means(apply_chain(machine, before.friction(fit)), factor)[lead:]

@@ -172,7 +172,7 @@ def _slope(
     """Force per unit of a size (m, 1) [N], from the compiled model at a trial; None where it is not finite."""
     effects = (*fit.effects, CandidateEffect(definition.name, trial))
     _, jacobian = model.run(subject.recording, subject.start(model, effects, fit))
-    index = model.index(ParameterGroup.candidate(definition.name, len(fit.effects)), size)
+    index = model.index(ParameterGroup("candidate", definition.name, index=len(fit.effects)), size)
     if jacobian is None or not np.all(np.isfinite(jacobian[:, index])):
         return None
     return np.asarray(jacobian[:, [index]] / model.columns[index].scale)
@@ -331,7 +331,7 @@ def stiffness_start(subject: Subject, effects: Sequence[CandidateEffect], materi
     for cause in BASE_CAUSES.values():
         if not cause.start_factors:
             continue
-        common = np.array([c.group == ParameterGroup.base(cause.name) for c in model.columns])
+        common = np.array([c.group == ParameterGroup("base", cause.name) for c in model.columns])
         starts = {factor: np.where(common, factor * theta, theta) for factor in cause.start_factors}
         runs = run_parallel([partial(model.run, recording, at, derivatives=False) for at in starts.values()])
         left = {

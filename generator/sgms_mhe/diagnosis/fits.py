@@ -71,7 +71,7 @@ class Fit(FitLoss):
     @property
     def candidate_groups(self) -> tuple[ParameterGroup, ...]:
         """Groups of the effects under test."""
-        return tuple(ParameterGroup.candidate(effect.name, i) for i, effect in enumerate(self.effects))
+        return tuple(ParameterGroup("candidate", effect.name, index=i) for i, effect in enumerate(self.effects))
 
     def theta_without(self, groups: Collection[ParameterGroup]) -> Array:
         """The same numbers (n_p), the sizes of these effects set to none."""
@@ -187,7 +187,7 @@ class Subject:
                 if not c.group.is_candidate
             }
         wanted = {
-            (ParameterGroup.candidate(effect.name, i), key): value
+            (ParameterGroup("candidate", effect.name, index=i), key): value
             for i, effect in enumerate(effects)
             for key, value in effect.parameters.items()
         }
@@ -328,7 +328,7 @@ def make_fit(
         rows=recording.sum_blocks(np.ones(len(recording.time))),
         own=found.own,
     )
-    values = [fit.values(ParameterGroup.candidate(effect.name, i)) for i, effect in enumerate(effects)]
+    values = [fit.values(ParameterGroup("candidate", effect.name, index=i)) for i, effect in enumerate(effects)]
     return replace(fit, effects=tuple(CandidateEffect(e.name, v) for e, v in zip(effects, values, strict=True)))
 
 

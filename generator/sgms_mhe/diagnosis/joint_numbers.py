@@ -12,14 +12,14 @@ from sgms_mhe.diagnosis.causes import find_vague
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fits import report_name
 from sgms_mhe.diagnosis.joint_fit import JointFit, JointPoint
-from sgms_mhe.diagnosis.numbers import friction_changes
+from sgms_mhe.diagnosis.numbers import friction_changes, state_number
 from sgms_mhe.diagnosis.own_numbers import OwnDifference
 from sgms_mhe.diagnosis.parametrisation import JacobianColumn, ParameterGroup
 from sgms_mhe.diagnosis.parts import Cause
 from sgms_mhe.diagnosis.record_fit import RecordFit
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES, base_number, effect_definition
+from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.recordings.output_error import Objective, refit_motion
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.arrays import Array, Mask
@@ -49,22 +49,7 @@ def find_common(found: Diagnosis, fit: RecordFit, causes: Sequence[Cause]) -> Ma
 
 def _is_changed(file: Machine, column: JacobianColumn) -> bool:
     """Return True if a number of an extended machine is not that of the file."""
-    return not math.isclose(column.si(column.machine_theta), _state_number(file, column), rel_tol=1e-12)
-
-
-def _state_number(file: Machine, column: JacobianColumn) -> float:
-    """Return a number as a machine file states it [SI]; NaN: it does not."""
-    if column.group.kind == "own":
-        effects = {effect.label: effect_definition(effect.name).entries(effect.parameters) for effect in file.effects}
-        return effects.get(column.group.label, {}).get(column.name, math.nan)
-    if column.group.kind == "base":
-        number = base_number(column.name)
-        stated = getattr(file.friction, column.name if number is None or not number.array else number.name)
-        if number is None or not number.array:
-            return float(stated)
-        place = number.element(column.name)
-        return float(stated[place]) if place < len(stated) else math.nan
-    return math.nan
+    return not math.isclose(column.si(column.machine_theta), state_number(file, column), rel_tol=1e-12)
 
 
 def find_contradicted(file: Machine, joint: JointFit, at: JointPoint) -> Mask:
@@ -76,7 +61,7 @@ def find_contradicted(file: Machine, joint: JointFit, at: JointPoint) -> Mask:
         at: minimum.
     """
     columns, thetas = joint.members[0].fit.model.columns, np.array([point.theta for point in at.points])
-    stated = [column.theta(_state_number(file, column)) for column in columns]
+    stated = [column.theta(state_number(file, column)) for column in columns]
     none = np.where(np.isfinite(stated), stated, [column.theta(column.none) for column in columns])
     return np.asarray(np.any(np.abs(thetas - joint.numbers(at)) > np.abs(thetas - none), axis=0))
 
@@ -163,8 +148,8 @@ def refit_to_motion(found: Diagnosis, logs: Sequence[Log], objective: Objective)
     if base is None:
         return found
     refit = refit_motion(base, logs, objective, {"mass"})
-    groups = {effect.label: ParameterGroup.own(effect.name, effect.label) for effect in base.effects}
-    groups |= {number.name: ParameterGroup.base(name) for name, c in BASE_CAUSES.items() for number in c.numbers}
+    groups = {effect.label: ParameterGroup("own", effect.name, effect.label) for effect in base.effects}
+    groups |= {number.name: ParameterGroup("base", name) for name, c in BASE_CAUSES.items() for number in c.numbers}
     values: dict[ParameterGroup, dict[str, float]] = {}
     deviations: dict[ParameterGroup, dict[str, float]] = {}
     for key, value in refit.values.items():
@@ -183,7 +168,7 @@ def write_numbers(found: Diagnosis, extended: Machine, values: Numbers, deviatio
     effects: list[dict[str, Any]] = []
     for effect in extended.effects:
         definition = effect_definition(effect.name)
-        own = values.get(ParameterGroup.own(effect.name, effect.label), {})
+        own = values.get(ParameterGroup("own", effect.name, effect.label), {})
         known = {**definition.entries(effect.parameters), **own}
         effects.append({"name": effect.name, **(definition.tidy(known) if own else effect.parameters)})
     has_effects = "effects" in (found.changes or {}) or bool(effects)

@@ -272,14 +272,14 @@ def make_model(machine: Machine, effects: Sequence[CandidateEffect]) -> Compiled
     if places != list(range(len(places))):
         compiled = compiled.ordered(places)
     delays = [
-        delay_column(machine, effects[i].name, ParameterGroup.candidate(effects[i].name, i), dict(keys[i][1]))
+        delay_column(machine, effects[i].name, ParameterGroup("candidate", effects[i].name, index=i), dict(keys[i][1]))
         for i in late
     ]
     delays += [
         delay_column(
             machine,
             effect.name,
-            ParameterGroup.own(effect.name, effect.label),
+            ParameterGroup("own", effect.name, effect.label),
             effect_definition(effect.name).entries(effect.parameters),
         )
         for effect in machine.effects
@@ -287,7 +287,7 @@ def make_model(machine: Machine, effects: Sequence[CandidateEffect]) -> Compiled
     ]
     forces = {i: force for i in plain if (force := make_force(alone[i])) is not None}
     beside = [
-        effect_column(ParameterGroup.candidate(effects[i].name, i), free.column.partition(".")[2], free)
+        effect_column(ParameterGroup("candidate", effects[i].name, index=i), free.column.partition(".")[2], free)
         for i, force in forces.items()
         for free in force.parameters
     ]
@@ -326,7 +326,9 @@ def compile_once(structure: ModelStructure) -> CompiledFit:
     code = CompiledModel(extended)
     own, zero = len(machine.effects), typical_sizes(machine)
     groups = {
-        e.label: ParameterGroup.own(e.name, e.label) if i < own else ParameterGroup.candidate(e.name, i - own)
+        e.label: ParameterGroup("own", e.name, e.label)
+        if i < own
+        else ParameterGroup("candidate", e.name, index=i - own)
         for i, e in enumerate(extended.effects)
     }
     columns = []

@@ -23,26 +23,32 @@ def base_parameters(final: FinalFit, fit: Fit, file: Machine) -> tuple[BaseParam
 
     Where the fit has another number of elements, the file has none of theirs.
     """
-    machine = final.subject.machine
-    effects = {effect.label: effect_definition(effect.name).entries(effect.parameters) for effect in file.effects}
-
-    def stated(column: JacobianColumn) -> float:
-        number = base_number(column.name) if column.group.kind == "base" else None
-        if number is None:
-            return effects[column.group.label][column.name]
-        if number.array and machine.friction.n_z != file.friction.n_z:
-            return math.nan
-        value = getattr(file.friction, number.name)
-        return float(value[number.element(column.name)] if number.array else value)
-
+    labels, elements = {effect.label for effect in file.effects}, final.subject.machine.friction.n_z
     deviations = standard_deviations(covariance(final.subject, fit, final.other), fit)
     return tuple(
         BaseParameter(
-            c.name if c.group.kind == "base" else f"{c.group.label}.{c.name}", stated(c), c.si(float(theta)), std
+            c.name if c.group.kind == "base" else f"{c.group.label}.{c.name}",
+            state_number(file, c, elements),
+            c.si(float(theta)),
+            std,
         )
         for c, theta, std in zip(fit.model.columns, fit.theta, deviations, strict=True)
-        if c.group.kind == "base" or c.group.label in effects
+        if c.group.kind == "base" or c.group.label in labels
     )
+
+
+def state_number(file: Machine, column: JacobianColumn, elements: int | None = None) -> float:
+    """Return a number as a machine file states it [SI]; NaN: it does not, or has not so many elements."""
+    if column.group.kind == "own":
+        effects = {effect.label: effect_definition(effect.name).entries(effect.parameters) for effect in file.effects}
+        return effects.get(column.group.label, {}).get(column.name, math.nan)
+    if column.group.kind == "base":
+        number = base_number(column.name)
+        if number is None or not number.array:
+            return float(getattr(file.friction, column.name))
+        stated, place = getattr(file.friction, number.name), number.element(column.name)
+        return float(stated[place]) if place < len(stated) and elements in (None, len(stated)) else math.nan
+    return math.nan
 
 
 def friction_changes(machine: Machine, values: Mapping[str, float]) -> dict[str, Any]:
@@ -83,7 +89,7 @@ def extended_machine(
     effects: list[dict[str, Any]] = []
     moved, stated = machine.plant.moved, {effect.label for effect in file.effects}
     for effect in machine.effects:
-        group = ParameterGroup.own(effect.name, effect.label)
+        group = ParameterGroup("own", effect.name, effect.label)
         if effect.label not in stated:
             moved += fit.values(group)[effect_definition(effect.name).adds_mass]
             continue

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Final, Literal, Self
+from typing import Any, Final, Literal
 
 import casadi as ca
 import numpy as np
@@ -75,21 +75,6 @@ class ParameterGroup:
     label: str = ""
     index: int = 0
 
-    @classmethod
-    def base(cls, cause: str) -> Self:
-        """A wrong number of the base model."""
-        return cls("base", cause)
-
-    @classmethod
-    def own(cls, cause: str, label: str) -> Self:
-        """An effect the machine has."""
-        return cls("own", cause, label)
-
-    @classmethod
-    def candidate(cls, cause: str, index: int) -> Self:
-        """An effect under test."""
-        return cls("candidate", cause, index=index)
-
     @property
     def is_candidate(self) -> bool:
         """Return True if it is an effect under test; otherwise its numbers stand in the machine file."""
@@ -105,11 +90,11 @@ def machine_groups(machine: Machine) -> tuple[ParameterGroup, ...]:
     """All groups of the machine's own numbers: those of the base model, then its effects."""
     return (
         *(
-            ParameterGroup.base(name)
+            ParameterGroup("base", name)
             for name, cause in BASE_CAUSES.items()
             if machine.friction.n_z > 1 or not any(number.shares for number in cause.numbers)
         ),
-        *(ParameterGroup.own(effect.name, effect.label) for effect in list_fitted(machine)),
+        *(ParameterGroup("own", effect.name, effect.label) for effect in list_fitted(machine)),
     )
 
 
@@ -389,7 +374,7 @@ def base_column(free: FreeParameter, zero: Mapping[str, float], machine: Machine
     cause, number = next((c, n) for c in BASE_CAUSES.values() for n in c.numbers if n.name == free.name)
     is_sharp = not machine.friction.switches and machine.friction.smoothed.lambda_ >= SHARP_SMOOTHING["lambda"]
     return JacobianColumn(
-        group=ParameterGroup.base(cause.name),
+        group=ParameterGroup("base", cause.name),
         name=free.column,
         nominal=free.nominal,
         scale=free.scale,

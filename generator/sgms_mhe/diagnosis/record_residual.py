@@ -1,7 +1,7 @@
 """Residual and noise floor of a machine along a log, as a diagnosis states them of a machine as it is."""
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -75,9 +75,5 @@ def measure_residual(machine: Machine, log: Log) -> MachineResidual:
 
 def _friction_before_chain(model: CompiledModel, record: Recording, motion: Array) -> Array:
     """Return a model's friction (m) [N] along a motion before the chain (n, 4), behind the chain."""
-    position, velocity, acceleration, force = np.ascontiguousarray(motion.T)
-    signals = replace(
-        record.signals, position=position, velocity=velocity, acceleration=acceleration, force=force, delay=0.0
-    )
-    friction = apply_chain(record.machine, model.predict(signals).friction_N)
+    friction = apply_chain(record.machine, model.predict(record.signals.before_chain(motion)).friction_N)
     return row_means(friction, record.factor)[: len(record.time)]

@@ -58,20 +58,20 @@ class Diagnosis(Shown):
         machine: as given.
         source: of the log.
         verdict: adequate, explained, ambiguous (others fit as well) or unexplained (something is left).
-        causes: strongest first.
-        alternatives: candidates without a name; the rivals first.
         rms: of the whole extension (an adequate machine: after = before).
         noise_floor_N: RMS of the friction measurement's noise at the fit's rate.
-        gain_interval_N: 95 % interval of the RMS of the explained force on held-out data.
-        base: the base model's numbers.
-        scores: every candidate of every round.
         structure_before, structure_after: of the residual.
         traces: decimated signals.
-        extended: the extended machine, None where nothing is named or learned.
-        changes: tables of its file that differ from the base's, as content of a machine file.
         law: of friction that fits the record, as in the machine file.
         excited: whether the axis moved.
         warnings: to the user about the record (gaps, saturation, too fast, too short).
+        causes: strongest first.
+        alternatives: candidates without a name; the rivals first.
+        gain_interval_N: 95 % interval of the RMS of the explained force on held-out data.
+        base: the base model's numbers.
+        scores: every candidate of every round.
+        extended: the extended machine, None where nothing is named or learned.
+        changes: tables of its file that differ from the base's, as content of a machine file.
         seconds: computing time.
         rival_fits: of the alternatives that are rivals.
         undecided: questions open after any record of this motion.
@@ -94,22 +94,22 @@ class Diagnosis(Shown):
     machine: Machine
     source: str
     verdict: Verdict
-    causes: tuple[Cause, ...]
-    alternatives: tuple[Alternative, ...]
     rms: Rms
     noise_floor_N: float
-    gain_interval_N: tuple[float, float]
-    base: tuple[BaseParameter, ...]
-    scores: tuple[Score, ...]
     structure_before: tuple[ResidualStructure, ...]
     structure_after: tuple[ResidualStructure, ...]
     traces: Traces
-    extended: Machine | None
-    changes: Mapping[str, Any] | None
     law: str
     excited: bool
     warnings: tuple[str, ...]
-    seconds: float
+    causes: tuple[Cause, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
+    gain_interval_N: tuple[float, float] = (0.0, 0.0)
+    base: tuple[BaseParameter, ...] = ()
+    scores: tuple[Score, ...] = ()
+    extended: Machine | None = None
+    changes: Mapping[str, Any] | None = None
+    seconds: float = 0.0
     rival_fits: tuple[RivalFit, ...] = ()
     undecided: tuple[Statement, ...] = ()
     encoder_noise_N: float = 0.0

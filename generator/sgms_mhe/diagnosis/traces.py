@@ -10,9 +10,8 @@ class Traces:
     """Signals at the rate of the fit, all (m,).
 
     time [s] from the log's first sample to the instant of the row, position [m], velocity [m/s], acceleration [m/s^2],
-    force [N], friction measured [N], simulated by the machine as it is, with refitted base parameters and no new
-    effect, and by the extended model (parameters of all data); `held_out_fit_N` is the extended model fitted without
-    the held-out segments.
+    force [N], friction measured [N], simulated by the machine as it is, and by the extended model (parameters of all
+    data); `held_out_fit_N` is the extended model fitted without the held-out segments.
     `used`: enters fits and numbers; `held_out`: not seen by the fit the gains are computed from.
     """
 
@@ -23,7 +22,6 @@ class Traces:
     force_N: Array
     friction_N: Array
     nominal_N: Array
-    refitted_N: Array
     extended_N: Array
     held_out_fit_N: Array
     used: Mask

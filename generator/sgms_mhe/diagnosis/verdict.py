@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -79,49 +79,55 @@ def diagnose_logs(
         InputError: a log does not fit the machine, or has too few usable samples.
         FitError: a model is not finite along the record.
     """
-    file = prepare_logs(drop_disturbance(machine), logs, held_out_s)
-    begun, has_force = None, not all(log.is_friction_alone for log in logs)
-    if is_rough and _is_excited(file.recording, file.nominal):
-        begun = begin_from_record(file.recording, file.nominal, told.report_identification, has_force=has_force)
-    return _diagnose_begun(file, begun, logs, held_out_s, told)
+    task = _Task(prepare_logs(drop_disturbance(machine), logs, held_out_s), logs, held_out_s, told)
+    recording, begun = task.file.recording, None
+    if is_rough and _is_excited(recording, task.file.nominal):
+        identified = told.report_identification
+        begun = begin_from_record(recording, task.file.nominal, identified, has_force=task.has_force)
+    return _diagnose_begun(task, begun)
 
 
-def _diagnose_begun(
-    file: Prepared,
-    begun: RecordStart | None,
-    logs: Sequence[Log],
-    held_out_s: Sequence[tuple[float, float]] | None,
-    told: ProgressReport,
-) -> Diagnosis:
-    """Diagnose from the record's numbers where there are any; from the file's where no model of those is finite."""
-    if begun is not None:
-        try:
-            found, without = _diagnose_aligned(file, begun, logs, held_out_s, told)
-            return _diagnose_again(file, begun, found, without, logs, held_out_s, told)
-        except FitError as error:
-            log_decision("beginning", "file stays: a model of the record's numbers is not finite", reason=str(error))
-    return _diagnose_aligned(file, None, logs, held_out_s, told)[0]
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """Inputs of a diagnosis.
 
-
-def _diagnose_again(
-    file: Prepared,
-    begun: RecordStart,
-    found: Diagnosis,
-    without: Recording,
-    logs: Sequence[Log],
-    held_out_s: Sequence[tuple[float, float]] | None,
-    told: ProgressReport,
-) -> Diagnosis:
-    """Diagnose anew from a start identified with the causes still in the record.
-
-    Args:
+    Attributes:
         file: the log along the machine of the file.
-        begun: the record's numbers.
-        found: the diagnosis from these.
-        without: the record without its causes.
         logs: as they were read.
         held_out_s: as of `diagnose`.
         told: of each step.
+    """
+
+    file: Prepared
+    logs: Sequence[Log]
+    held_out_s: Sequence[tuple[float, float]] | None
+    told: ProgressReport
+
+    @property
+    def has_force(self) -> bool:
+        """Return True if a log has the force, not friction alone."""
+        return not all(log.is_friction_alone for log in self.logs)
+
+
+def _diagnose_begun(task: _Task, begun: RecordStart | None) -> Diagnosis:
+    """Diagnose from the record's numbers where there are any; from the file's where no model of those is finite."""
+    if begun is not None:
+        try:
+            found, without = _diagnose_aligned(task, begun)
+            return _diagnose_again(task, begun, found, without)
+        except FitError as error:
+            log_decision("beginning", "file stays: a model of the record's numbers is not finite", reason=str(error))
+    return _diagnose_aligned(task, None)[0]
+
+
+def _diagnose_again(task: _Task, begun: RecordStart, found: Diagnosis, without: Recording) -> Diagnosis:
+    """Diagnose anew what began from numbers that were identified with the causes still in the record.
+
+    Args:
+        task: what is asked.
+        begun: the record's numbers.
+        found: the diagnosis from these.
+        without: the record without its causes.
 
     Returns:
         A diagnosis from the file where its numbers hold beside the causes, or leave less than the record's with all
@@ -130,7 +136,7 @@ def _diagnose_again(
     """
     leaves_more = found.rms.held_out_after > found.rms.held_out_before
     if not found.is_rough or leaves_more:
-        again = _diagnose_aligned(file, None, logs, held_out_s, told)[0]
+        again = _diagnose_aligned(task, None)[0]
         lost = again.verdict == "unexplained" != found.verdict
         log_decision(
             "beginning",
@@ -141,11 +147,11 @@ def _diagnose_again(
         return found if lost else again
     if not found.causes or found.rms.held_out_after < FLOOR_SURE * found.noise_floor_N:
         return found
-    has_force = not all(log.is_friction_alone for log in logs)
-    anew = identify_start(without, file.machine, begun.mass, told.report_identification, has_force=has_force)
+    identified, machine = task.told.report_identification, task.file.machine
+    anew = identify_start(without, machine, begun.mass, identified, has_force=task.has_force)
     if anew is None:
         return found
-    again, _ = _diagnose_aligned(file, anew, logs, held_out_s, told)
+    again, _ = _diagnose_aligned(task, anew)
     log_decision(
         "beginning",
         "numbers identified without the causes, where they leave less",
@@ -156,46 +162,32 @@ def _diagnose_again(
     return again if sharper else found
 
 
-def _diagnose_aligned(
-    file: Prepared,
-    begun: RecordStart | None,
-    logs: Sequence[Log],
-    held_out_s: Sequence[tuple[float, float]] | None,
-    told: ProgressReport,
-) -> tuple[Diagnosis, Recording]:
+def _diagnose_aligned(task: _Task, begun: RecordStart | None) -> tuple[Diagnosis, Recording]:
     """The diagnosis of a log with its force in step with its position, and the record without its causes.
 
-    Args:
-        file: the log along the machine of the file.
-        begun: the record's numbers, to begin from these; None: from the file's.
-        logs: as they were read.
-        held_out_s: as of `diagnose`.
-        told: of each step.
+    `begun`: the record's numbers, to begin from these; None: from the file's.
     """
-    machine, offset, source = file.machine, 0.0, logs[0].source
+    machine, offset = task.file.machine, 0.0
     most = TIMING_MOST * machine.sampling.step
-    prepared = file if begun is None else prepare_logs(begun.machine, logs, held_out_s)
-    found, without = _diagnose_log(prepared, source, told, file, begun)
+    prepared = task.file if begun is None else prepare_logs(begun.machine, task.logs, task.held_out_s)
+    found, without = _diagnose_log(prepared, task, begun)
     while (more := sampling_offset(found)) and abs(offset + more) <= most:
         offset += more
         log_decision("record", "force put in step with position, and diagnosed again", offset_s=offset, most_s=most)
-        late = prepare_logs(prepared.machine, [in_step(log, offset) for log in logs], held_out_s)
-        found, without = _diagnose_log(late, source, told, file, begun)
+        late = prepare_logs(prepared.machine, [in_step(log, offset) for log in task.logs], task.held_out_s)
+        found, without = _diagnose_log(late, task, begun)
     return replace(found, offset_s=offset, warnings=(*offset_notes(machine, offset), *found.warnings)), without
 
 
-def _diagnose_log(
-    prepared: Prepared, source: str, progress: ProgressReport, file: Prepared, begun: RecordStart | None
-) -> tuple[Diagnosis, Recording]:
+def _diagnose_log(prepared: Prepared, task: _Task, begun: RecordStart | None) -> tuple[Diagnosis, Recording]:
     """The diagnosis of a log as it is, and the record without its causes.
 
     Args:
         prepared: the log along the machine to begin from.
-        source: of the log.
-        progress: told of each step.
-        file: the log along the machine of the file.
+        task: what is asked.
         begun: the record's numbers, where these are the beginning.
     """
+    file, source, progress = task.file, task.logs[0].source, task.told
     machine, record, recording, nominal = prepared.machine, prepared.record, prepared.recording, prepared.nominal
     if not _is_excited(recording, nominal):
         if recording is not record:
@@ -308,7 +300,7 @@ def _diagnosis(
         scores=selection.scores if named or verdict != "unexplained" else _unname_scores(selection.scores),
         structure_before=structure_map(record, nominal.residual, final.encoder),
         structure_after=structure_map(record, extended_left.residual if named else start.residual, final.encoder),
-        traces=_traces(record, nominal, start, extended_left if named else nominal, unseen),
+        traces=_traces(record, nominal, extended_left if named else nominal, unseen),
         extended=extended,
         changes=changes,
         law=final.subject.machine.friction.law,
@@ -323,7 +315,6 @@ def _diagnosis(
                 if name not in {cause.name for cause in causes}
             ),
         ),
-        seconds=0.0,
         rival_fits=fit_rivals(final, selection),
         undecided=(*clock_note(record), *list_smoothed(record, causes)),
         encoder_noise_N=hidden_by,
@@ -381,13 +372,7 @@ def _unname_scores(scores: Sequence[Score]) -> tuple[Score, ...]:
     return tuple(replace(s, outcome="redundant") if s.outcome == "named" else s for s in scores)
 
 
-def _traces(
-    recording: Recording,
-    nominal: RecordResidual,
-    start: RecordResidual,
-    extended: RecordResidual,
-    blind: RecordResidual,
-) -> Traces:
+def _traces(recording: Recording, nominal: RecordResidual, extended: RecordResidual, blind: RecordResidual) -> Traces:
     measured = recording.reduce(recording.signals.friction)
     return Traces(
         time_s=recording.time if recording.of_log is None else np.arange(len(recording.time)) / recording.rate,
@@ -397,7 +382,6 @@ def _traces(
         force_N=recording.force,
         friction_N=measured,
         nominal_N=measured - nominal.residual,
-        refitted_N=measured - start.residual,
         extended_N=measured - extended.residual,
         held_out_fit_N=measured - blind.residual,
         used=recording.used,
@@ -416,20 +400,12 @@ def _report_standstill(machine: Machine, source: str, recording: Recording, nomi
         machine=machine,
         source=source,
         verdict="adequate" if excess < allowed_excess(machine, floor) else "unexplained",
-        causes=(),
-        alternatives=(),
         rms=Rms(rms, rms, held, held),
         noise_floor_N=floor,
-        gain_interval_N=(0.0, 0.0),
-        base=(),
-        scores=(),
         structure_before=maps,
         structure_after=maps,
-        traces=_traces(recording, *4 * (RecordResidual.of(nominal),)),
-        extended=None,
-        changes=None,
+        traces=_traces(recording, *3 * (RecordResidual.of(nominal),)),
         law=machine.friction.law,
         excited=False,
         warnings=(*recording.warnings, "no excitation: the axis hardly moves"),
-        seconds=0.0,
     )

@@ -53,8 +53,7 @@ class EstimatorRun:
 class EstimatorGain:
     """Two estimators on a log no fit has seen: of the machine as it was, and of the extended one.
 
-    `reduction` of the prediction's error, 1 - extended / base, with its 95 % interval over pieces of the log;
-    `time_s`, `before_N`, `after_N` (k): RMS of that error in consecutive pieces.
+    `reduction` of the prediction's error, 1 - extended / base, with its 95 % interval over pieces of the log.
     """
 
     source: str
@@ -63,9 +62,6 @@ class EstimatorGain:
     extended: EstimatorRun
     reduction: float
     reduction_interval: tuple[float, float]
-    time_s: Array
-    before_N: Array
-    after_N: Array
 
     def state(self, unit: str) -> Statement:
         """Return the statement on it, in the unit of a force."""
@@ -95,11 +91,9 @@ def closed_loop_gain(machine: Machine, extended_machine: Machine, log_unseen: Lo
     errors = [s.friction - e.extra["compensation_N"][: len(s)] for s, e in zip(signals, estimates, strict=True)]
     base, extended = (_run(error, used, e) for error, e in zip(errors, estimates, strict=True))
 
-    counts = _blocks(np.ones(len(used)), used)
-    kept = counts > 0
-    counts = counts[kept]
+    kept = _blocks(np.ones(len(used)), used) > 0
     squares = [_blocks(error**2, used)[kept] for error in errors]
-    draws = np.random.default_rng(1).integers(0, len(counts), (DRAWS, len(counts)))
+    draws = np.random.default_rng(1).integers(0, kept.sum(), (DRAWS, kept.sum()))
     left = [s[draws].sum(axis=1) for s in squares]
     low, high = np.quantile(1.0 - np.sqrt(left[1] / np.maximum(left[0], 1e-300)), (0.025, 0.975))
     return EstimatorGain(
@@ -109,9 +103,6 @@ def closed_loop_gain(machine: Machine, extended_machine: Machine, log_unseen: Lo
         extended=extended,
         reduction=1.0 - extended.predicted_rms_N / base.predicted_rms_N if base.predicted_rms_N > 0.0 else 0.0,
         reduction_interval=(float(low), float(high)),
-        time_s=_blocks(np.arange(len(used)) / rate, used)[kept] / counts,
-        before_N=np.sqrt(squares[0] / counts),
-        after_N=np.sqrt(squares[1] / counts),
     )
 
 

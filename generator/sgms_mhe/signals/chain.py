@@ -71,6 +71,11 @@ class Signals:
         parts: dict[str, Any] = {name: a[which] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
         return replace(self, **parts)
 
+    def before_chain(self, motion: Array) -> Self:
+        """The same samples with a motion before the chain: position, velocity, acceleration, force (n, 4)."""
+        names = ("position", "velocity", "acceleration", "force")
+        return replace(self, delay=0.0, **dict(zip(names, np.ascontiguousarray(motion.T), strict=True)))
+
 
 def signal_array(signals: Signals, h: float, first: int = 0, mean: int = 0) -> Array:
     """Signals w = (position, velocity, acceleration, force, time) of every sample (n, 5).
