@@ -17,6 +17,7 @@ import click
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.json_values import finite
 from sgms_mhe.support.numbers import interval
+from sgms_mhe.support.tables import align_columns
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -178,14 +179,7 @@ def updates_text(units: Units, summary: Mapping[str, Any]) -> str:
 
 def table_text(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Aligned columns, the first to the left, the others to the right."""
-    lines = [header, *rows]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
-
-    def row(line: Sequence[str]) -> str:
-        cells = [cell.ljust(widths[k]) if k == 0 else cell.rjust(widths[k]) for k, cell in enumerate(line)]
-        return "  ".join(cells).rstrip()
-
-    return "\n".join(map(row, lines))
+    return "\n".join(align_columns([header, *rows], [k == 0 for k in range(len(header))]))
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from sgms_mhe.commands.common import json_text, note_broken_effects, show
 from sgms_mhe.commands.options import make_command
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.names import did_you_mean
+from sgms_mhe.support.tables import align_columns
 
 if TYPE_CHECKING:
     from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Need
@@ -135,10 +136,7 @@ def _text(content: dict[str, Any]) -> str:
 
 def _table(rows: list[dict[str, str]]) -> str:
     """Rows of text below their names."""
-    from sgms_mhe.support.tables import CsvTable
-
-    lines = str(CsvTable("", dict.fromkeys(rows[0], ""), rows)).splitlines()[1:]
-    return "\n".join(line.removeprefix("  ") for line in lines)
+    return "\n".join(align_columns([list(rows[0]), *([*row.values()] for row in rows)], [True] * len(rows[0])))
 
 
 def _items(sentences: list[str]) -> list[str]:

@@ -75,13 +75,9 @@ class Coordinate:
         """Number of splines that are not zero between `low` and `high`."""
         return self.cells + DEGREE
 
-    def grid_place(self, warped: Array) -> Array:
-        """Place of warped values on the grid [cells]."""
-        return (warped - self.low) * (self.cells / (self.high - self.low))
-
     def splines(self, warped: Array) -> Array:
         """All splines at warped values (m): (m, size). Beyond the grid they fall to zero within four cells."""
-        place = self.grid_place(warped)
+        place = (warped - self.low) * (self.cells / (self.high - self.low))
         # Spline k covers the cells k - 3 to k.
         return cubic(place[:, None] - (np.arange(self.size) - DEGREE))
 

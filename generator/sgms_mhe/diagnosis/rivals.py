@@ -268,9 +268,11 @@ def _compare(
     material = criteria.material
     has_same_clock = criteria.has_same_clock(place.cause, name)
     steady = find_steady_blocks(subject.recording) if has_same_clock else None
-    if steady is not None and _is_clearly_better(place.fit, trial, criteria):
-        # The start and the stop do not tell the two apart, but a model has to run through them.
-        return "better", place.fit.gain_over(trial)
+    if steady is not None:
+        t, gain = difference_statistic(place.fit.cross, trial.cross), place.fit.gain_over(trial)
+        if _is_clear(t, gain, criteria):
+            # The start and the stop do not tell the two apart, but a model has to run through them.
+            return "better", gain
     told = np.ones(subject.recording.blocks, dtype=np.bool_) if steady is None else steady
     excess = gain_force(trial.cross[told], place.fit.cross[told], place.fit.rows[told])
     t = difference_statistic(place.fit.cross[told], trial.cross[told])
@@ -294,12 +296,6 @@ def _compare(
     if as_good or (excess < SMALL_SHARE * place.gain and same):
         return "rival", excess
     return "worse", excess
-
-
-def _is_clearly_better(fit: Fit, trial: Fit, criteria: Criteria) -> bool:
-    """Return True if a fit is better than another one on all blocks."""
-    t = difference_statistic(fit.cross, trial.cross)
-    return _is_clear(t, fit.gain_over(trial), criteria)
 
 
 def _is_clear(t: float, excess: float, criteria: Criteria) -> bool:

@@ -132,7 +132,9 @@ def _view(group: Group, sizes: GroupSizes, machine: Machine, printer: FunctionPr
         most_substeps=None if flow or group.switches else max(math.ceil(most) for most in rates[-1].values),
         slow_steps=common_slow_steps(group, machine) if flow else None,
         paced=flow and not any(block.rate_per_second for block in group.blocks),
-        rhs=_rhs(group, printer),
+        rhs=printer.group_function(
+            group, [Output("rhs.rate", group.rhs), Output("rhs.d_chi", group.d_chi), Output("rhs.d_q", group.d_q)]
+        ),
         level=_level(group, printer, in_q=level_in_q) if flow or law or group.switches else None,
         upstream=_upstream(group, printer) if flow or group.switches else None,
         follows_flow=flow,
@@ -144,11 +146,6 @@ def _view(group: Group, sizes: GroupSizes, machine: Machine, printer: FunctionPr
         is_elements=group.is_elements,
         elastic_ahead=(flow or law) and group.is_elements and group.m == 1 and ahead_elastic(machine) > 0.0,
     )
-
-
-def _rhs(group: Group, printer: FunctionPrinter) -> Function:
-    outputs = [Output("rhs.rate", group.rhs), Output("rhs.d_chi", group.d_chi), Output("rhs.d_q", group.d_q)]
-    return printer.group_function(group, outputs)
 
 
 def _level(group: Group, printer: FunctionPrinter, *, in_q: bool) -> Function:

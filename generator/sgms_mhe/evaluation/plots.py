@@ -80,9 +80,9 @@ def save_figure(path: Path, figure: Figure) -> None:
         figure.savefig(stream, format="svg" if is_svg else "png", dpi=150, metadata=metadata)
 
 
-def blank_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+def blank_figure(height_in: float) -> Figure:
     """Return a figure without axes. Raises InputError where matplotlib is not installed."""
-    figure: Figure = _drawing("matplotlib.figure").Figure(figsize=(width_in, height_in), layout="constrained")
+    figure: Figure = _drawing("matplotlib.figure").Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     return figure
 
 

@@ -45,7 +45,8 @@ class StoredIntervals(NamedTuple):
 
     def moves(self, x: Array, theta: Array) -> Array:
         """Move of each end when nodes and parameters go from the linearisations' to (x, theta): (n, n_x)."""
-        return _image(self.intervals.A, self.intervals.B, x - self.x, theta - self.theta)
+        _, A, B, _ = self.intervals
+        return np.asarray(np.einsum("kij,kj->ki", A, x - self.x) + np.einsum("kij,kj->ki", B, theta - self.theta))
 
     def at(self, x: Array, theta: Array) -> Linearised:
         """The affine maps, written about (x, theta)."""
@@ -66,10 +67,6 @@ class StoredIntervals(NamedTuple):
         """Intervals first to last - 1."""
         which = slice(first, last)
         return StoredIntervals(self.x[which], self.theta[which], self.intervals.part(which))
-
-
-def _image(A: Array, B: Array, dx: Array, dtheta: Array) -> Array:
-    return np.asarray(np.einsum("kij,kj->ki", A, dx) + np.einsum("kij,kj->ki", B, dtheta))
 
 
 def run_mhe(record: NodeRecord, progress: Progress | None = None) -> Estimates:

@@ -59,9 +59,9 @@ def between(low: float, high: float) -> str:
     return f"{force(low).removesuffix(force_suffix())} to {force(high)}"
 
 
-def join_words(parts: Sequence[str], last: str = "and") -> str:
+def join_words(parts: Sequence[str]) -> str:
     """A list within a sentence."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def capital(text: str) -> str:

@@ -23,15 +23,7 @@ class CsvTable:
 
     def __str__(self) -> str:
         lines = [list(self.formats), *([self._cell(row, name) for name in self.formats] for row in self.rows)]
-        widths = [max(len(line[k]) for line in lines) for k in range(len(self.formats))]
-        is_text = [spec == "" for spec in self.formats.values()]
-        body = [
-            "  ".join(
-                cell.ljust(width) if text else cell.rjust(width)
-                for cell, width, text in zip(line, widths, is_text, strict=True)
-            ).rstrip()
-            for line in lines
-        ]
+        body = align_columns(lines, [spec == "" for spec in self.formats.values()])
         return "\n".join([self.title, *(f"  {line}" for line in body), *(f"  {note}" for note in self.notes)])
 
     def as_dict(self) -> dict[str, Any]:
@@ -41,3 +33,15 @@ class CsvTable:
     def _cell(self, row: Mapping[str, Any], name: str) -> str:
         value = row.get(name)
         return "" if value is None else format(value, self.formats[name])
+
+
+def align_columns(lines: Sequence[Sequence[str]], is_text: Sequence[bool]) -> list[str]:
+    """Lines of cells below each other: columns of text to the left, others to the right."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    kinds = list(zip(widths, is_text, strict=True))
+    return [
+        "  ".join(
+            cell.ljust(width) if text else cell.rjust(width) for cell, (width, text) in zip(line, kinds, strict=True)
+        ).rstrip()
+        for line in lines
+    ]
