@@ -1,12 +1,14 @@
-"""Diagnoses made by hand: what a report and a benchmark see, without the engine that finds them."""
+"""Diagnoses made by hand: what a report and a benchmark see; and the check of what a diagnosis finds."""
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pytest import approx
 
 from sgms_mhe.diagnosis import (
     Alternative,
@@ -54,7 +56,6 @@ def traces(seconds: float = 12.0, rate: float = 500.0, ripple: float = AMPLITUDE
         force_N=friction + 20.0 * acceleration,
         friction_N=friction,
         nominal_N=base,
-        refitted_N=base,
         extended_N=base + missing,
         held_out_fit_N=base + 0.98 * missing,
         used=used,
@@ -219,15 +220,7 @@ def motionless(machine: Machine) -> Diagnosis:
     first = adequate(machine)
     t = first.traces
     zero = np.zeros_like(t.position_m)
-    still = replace(
-        t,
-        position_m=zero,
-        velocity_m_s=zero,
-        acceleration_m_s2=zero,
-        nominal_N=zero,
-        held_out_fit_N=zero,
-        refitted_N=zero,
-    )
+    still = replace(t, position_m=zero, velocity_m_s=zero, acceleration_m_s2=zero, nominal_N=zero, held_out_fit_N=zero)
     return replace(
         first, traces=still, excited=False, scores=(), structure_before=(), structure_after=(), warnings=("no motion",)
     )
@@ -242,3 +235,29 @@ def name_nothing(patch: pytest.MonkeyPatch) -> None:
 
     patch.setattr(verdict, "search_causes", lambda laws, wanted: search_causes(laws, replace(wanted, excited=())))
     patch.setattr(verdict, "select_causes", nothing)
+
+
+# --- what a diagnosis of a log has to say -------------------------------------------------------------------------
+
+Causes = Mapping[str, Mapping[str, Any]]
+"""Causes by name, each with numbers that it has to have: of `pytest.approx`, or `Within`."""
+
+
+@dataclass(frozen=True)
+class Within:
+    """A number that differs from the true one by less than so many of its own deviations."""
+
+    truth: float
+    deviations: float = 2.0
+
+
+def assert_found(found: Diagnosis, causes: Causes, *verdicts: str) -> None:
+    """Check that these causes are named with their numbers and no other, and the verdict; without one: any."""
+    assert sorted(cause.name for cause in found.causes) == sorted(causes), found.summary
+    assert not verdicts or found.verdict in verdicts, found.summary
+    for cause in found.causes:
+        for key, number in causes[cause.name].items():
+            value, std = cause.parameters[key], cause.std.get(key, 0.0)
+            if isinstance(number, Within):
+                number = approx(number.truth, rel=0.0, abs=number.deviations * std)
+            assert value == number, (cause.name, key)

@@ -443,10 +443,6 @@ def test_compare_says_no_with_exit_code_1(small: Path, log: Path, monkeypatch: p
 
 BAD_MACHINES = {
     "unknown key": ("mass = 20.0", "masss = 20.0", ["plant.masss = 20.0", "unknown key (did you mean mass?)"]),
-    "fractions": ("[0.25, 0.75]", "[0.25, 0.7]", ["friction.fraction", "0.95", "sum"]),
-    "rates": ("update_rate = 50.0", "update_rate = 33.0", ["sampling.update_rate = 33.0", "divides rate = 1000"]),
-    "negative": ("coulomb = 4.0", "coulomb = -4.0", ["friction.coulomb = -4.0", "greater than 0"]),
-    "not finite": ("mass = 20.0", "mass = inf", ["plant.mass = inf", "finite number"]),
     "no syntax": ("mass = 20.0", "mass = = 20.0", ["line 5", "TOML syntax"]),
     "missing table": ("[plant]\nmass = 20.0", "", ["plant", "required key is missing"]),
 }
@@ -479,23 +475,11 @@ def test_a_machine_that_is_not_there_is_named_with_those_that_are() -> None:
 # --- bad logs ----------------------------------------------------------------------------------------------------
 
 
-def _scrambled_time(lines: list[str]) -> list[str]:
-    return with_field(500, 0, "0.4995")(lines)
-
-
 BAD_LOGS: dict[str, tuple[Callable[[list[str]], list[str]], list[str]]] = {
-    "time that is not uniform": (_scrambled_time, ["row 500", "time_s"]),
     "a time twice": (with_field(500, 0, "0.498"), ["row 500", "time_s"]),
-    "empty": (lambda lines: [], ["at least 2 rows"]),
-    "only a header": (lambda lines: lines[:1], ["no row of numbers", "at least 2 rows"]),
-    "a row cut short": (lambda lines: [*lines[:300], lines[300].split(",")[0]], ["row 300", "1 fields", "3 fields"]),
     "text": (
         with_field(77, 1, "late"),
         ["row 77", "column position_m", "'late'", "a number with a decimal point, or NaN"],
-    ),
-    "nothing but NaN": (
-        lambda lines: [lines[0], *(f"{line.rsplit(',', 1)[0]},nan" for line in lines[1:])],
-        ["column force_N", "NaN throughout"],
     ),
     "a column missing": (lambda lines: [line.rsplit(",", 1)[0] for line in lines], ["column force_N", "missing"]),
     "another rate": (

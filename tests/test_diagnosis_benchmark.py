@@ -12,10 +12,8 @@ from sgms_bench.diagnosis.draws import Draw, simulate_draw
 from sgms_bench.diagnosis.faults import FAULTS
 from sgms_bench.diagnosis.running import diagnose_draw, run_draw
 from sgms_bench.diagnosis.scoring import is_confidently_wrong, outcome, parameter_errors
-from sgms_bench.diagnosis.specimens import SPECIMENS, WRONG_NUMBERS
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES
 from sgms_mhe.support.errors import ImplausibleError
 
 
@@ -29,13 +27,6 @@ def test_faults_are_seen_before_anything_is_fitted(machine: Machine, name: str) 
     log, _ = simulate_draw(machine, replace(drawn("fault", name), seconds=3.0))
     with pytest.raises(ImplausibleError):
         check_plausible(log, machine)
-
-
-def test_every_effect_is_hidden_but_those_that_others_imitate() -> None:
-    """A curve of any shape is hidden as laws that it has to imitate, a late film by none, a table is learned."""
-    assert set(EFFECT_NAMES) - set(SPECIMENS) == {"friction_curve", "viscous_lag", "learned_residual"}
-    assert set(SPECIMENS) < set(EFFECT_NAMES)
-    assert set(WRONG_NUMBERS) == set(BASE_CAUSES)
 
 
 # --- runs -----------------------------------------------------------------------------------------------------------

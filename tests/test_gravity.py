@@ -5,7 +5,7 @@ The plant is written here, a few lines that share nothing with the project's own
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -115,26 +115,76 @@ def within(found: Identification, name: str, truth: float, deviations: float = 3
 # --- what stands beside friction ----------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Told:
+    """What an identification has to say of an arm.
+
+    Attributes:
+        arm: whose size multiplies what is a torque.
+        seed: of its noise.
+        numbers: true, of an arm of size 1.
+        deviations: that they may be off.
+        only: its effects, all of them, which nothing else may stand for; None: others may be beside.
+    """
+
+    arm: Arm
+    seed: int
+    numbers: Mapping[str, float]
+    deviations: float = 3.0
+    only: Sequence[str] | None = None
+
+
+OWN = {"mass": 0.4, "coulomb": 1.0, "viscous": 0.4}
+HANGING = {"mass": 0.4, "unbalance.amplitude_N": 8.0}
+LOADED = {"load_dependent_friction.ratio": 0.25, "load_dependent_friction.friction_ratio": 0.5}
+TOLD = {
+    # Gravity, whatever the size, and whatever angle the encoder counts from.
+    "servo": Told(Arm(zero=0.7, size=0.02), 2, OWN | HANGING | {"unbalance.phase_rad": -0.7}, only=["unbalance"]),
+    "gearbox": Told(
+        Arm(gravity=25.0, size=300.0, step=1e-5),
+        3,
+        OWN | {"unbalance.amplitude_N": 25.0, "unbalance.phase_rad": 0.0},
+        only=["unbalance"],
+    ),
+    "turn": Told(
+        Arm(gravity=3.0, zero=-2.5, reach=5.5),
+        4,
+        OWN | {"unbalance.amplitude_N": 3.0, "unbalance.phase_rad": 2.5},
+        only=["unbalance"],
+    ),
+    # Friction that drives less than it brakes looks like gravity: where the mesh is, the records tell.
+    "mesh": Told(Arm(load=0.25, share=0.5), 1, HANGING | LOADED),
+    # A file has one mesh: where several leave less on unseen rows, numbers are as sure as both agree, and stay.
+    "several meshes": Told(Arm(load=0.3, share=1.0, bearing=0.15), 1, HANGING, 2.0),
+    "spring": Told(
+        Arm(gravity=0.0, spring=2.0, reach=3.0),
+        1,
+        {"position_spring.stiffness_N_m": 2.0, "coulomb": 1.0},
+        only=["position_spring"],
+    ),
+    "nothing": Told(Arm(gravity=0.0), 1, {"coulomb": 1.0}, only=[]),
+    # A spring that is none is no rival of either: its limit is an offset, and the travel would show it.
+    "cable": Told(Arm(gravity=0.0, held=-0.4), 1, {"constant_offset.force_N": -0.4}, only=["constant_offset"]),
+    "level of each direction": Told(
+        Arm(asymmetry=-0.3, size=20.0), 1, {"asymmetric_coulomb.ratio": -0.3}, only=["asymmetric_coulomb", "unbalance"]
+    ),
+}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arm", "seed"),
-    [
-        (Arm(zero=0.7, size=0.02), 2),
-        (Arm(gravity=25.0, size=300.0, step=1e-5), 3),
-        (Arm(gravity=3.0, zero=-2.5, reach=5.5), 4),
-    ],
-    ids=["servo", "gearbox", "turn"],
-)
-def test_gravity_is_identified_with_inertia_and_friction(arm: Arm, seed: int) -> None:
-    """Whatever the size, and whatever angle the encoder counts from."""
-    found = identify([arm.log(seed)], Wanted("arm", elements=2))
-    within(found, "mass", arm.size * arm.inertia)
-    within(found, "coulomb", arm.size * arm.level)
-    within(found, "viscous", arm.size * arm.viscous)
-    within(found, "unbalance.amplitude_N", arm.size * arm.gravity)
-    within(found, "unbalance.phase_rad", -arm.zero, 4.0)
-    assert not any("ambiguous" in sentence for sentence in found.limits)
-    assert [effect["name"] for effect in found.machine.as_dict()["effects"]] == ["unbalance"]
+@pytest.mark.parametrize("told", TOLD.values(), ids=TOLD)
+def test_what_acts_on_an_arm_is_identified_with_inertia_and_friction(told: Told) -> None:
+    found = identify([told.arm.log(told.seed)], Wanted("arm", elements=2))
+    for name, truth in told.numbers.items():
+        if name.endswith("friction_ratio"):  # one of five that are tried
+            assert found.number(name).value == truth
+        else:
+            size = 1.0 if name.endswith(("ratio", "_rad")) else told.arm.size
+            within(found, name, size * truth, 4.0 if name.endswith("_rad") else told.deviations)
+    if told.only is not None:
+        assert sorted(effect["name"] for effect in found.machine.as_dict()["effects"]) == told.only
+        assert {number.name.split(".")[0] for number in found.numbers if "." in number.name} == set(told.only)
+        assert not any("ambiguous" in sentence for sentence in found.limits)
 
 
 @pytest.mark.slow
@@ -171,46 +221,10 @@ def test_friction_that_is_gone_at_high_speed_is_friction() -> None:
     assert abs(standing - arm.level * (1.0 + arm.rise)) < 0.1 * arm.level * arm.rise
 
 
-@pytest.mark.slow
-def test_a_mesh_that_carries_friction_biases_neither_gravity_nor_inertia() -> None:
-    """Friction that drives less than it brakes looks like gravity: where the mesh is, the records tell."""
-    arm = Arm(load=0.25, share=0.5)
-    found = identify([arm.log(1)], Wanted("arm", elements=2))
-    assert found.number("load_dependent_friction.friction_ratio").value == arm.share  # one of five that are tried
-    within(found, "mass", arm.inertia)
-    within(found, "unbalance.amplitude_N", arm.gravity)
-    within(found, "load_dependent_friction.ratio", arm.load)
-
-
-@pytest.mark.slow
-def test_intervals_hold_what_several_meshes_would_say() -> None:
-    """A file has one mesh: where several leave less on unseen rows, numbers are as sure as both agree, and stay."""
-    arm = Arm(load=0.3, share=1.0, bearing=0.15)
-    found = identify([arm.log(1)], Wanted("arm", elements=2))
-    within(found, "mass", arm.inertia, 2.0)
-    within(found, "unbalance.amplitude_N", arm.gravity, 2.0)
-
-
 def test_teeth_carry_all_friction_and_no_load() -> None:
     """Without the curve that takes friction away with speed, what is missing at the teeth was gravity and inertia."""
     names = ("viscous", "friction_curve", "load_dependent_friction", "mass", "late", "unbalance", "position_spring")
     assert [name for name in names if is_friction(Term(name, np.ones((3, 1))))] == list(names[:3])
-
-
-@pytest.mark.slow
-def test_a_spring_is_no_gravity() -> None:
-    arm = Arm(gravity=0.0, spring=2.0, reach=3.0)
-    found = identify([arm.log(1)], Wanted("arm", elements=2))
-    within(found, "position_spring.stiffness_N_m", arm.spring)
-    within(found, "coulomb", arm.level)
-    assert not any(number.name.startswith("unbalance") for number in found.numbers)
-
-
-@pytest.mark.slow
-def test_nothing_is_named_where_nothing_acts() -> None:
-    found = identify([Arm(gravity=0.0).log(1)], Wanted("arm", elements=2))
-    within(found, "coulomb", 1.0)
-    assert not found.machine.as_dict()["effects"]
 
 
 @pytest.mark.slow
@@ -229,27 +243,6 @@ def test_below_a_quarter_turn_gravity_is_ambiguous(reach: float, told: bool, tmp
     assert told or ("position_spring" in sentences[0] and "travel over a turn" in sentences[0])
     assert ("ambiguous: or position_spring" in (tmp_path / "arm.toml").read_text()) == (not told)
     assert '[[effects]]\nname = "unbalance"' in (tmp_path / "arm.toml").read_text()
-
-
-# --- forces that keep their direction -----------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arm", "name", "truth"),
-    [
-        (Arm(gravity=0.0, held=-0.4), "constant_offset.force_N", -0.4),
-        (Arm(asymmetry=-0.3, size=20.0), "asymmetric_coulomb.ratio", -0.3),
-    ],
-    ids=["cable", "level and gravity"],
-)
-def test_an_offset_and_a_level_of_each_direction_are_told_apart(arm: Arm, name: str, truth: float) -> None:
-    """A spring that is none is no rival of either: its limit is an offset, and the travel would show it."""
-    found = identify([arm.log(1)], Wanted("arm", elements=2))
-    within(found, name, arm.size * truth if name.endswith("_N") else truth)
-    others = {"constant_offset", "asymmetric_coulomb", "position_spring"} - {name.split(".")[0]}
-    assert not others & {number.name.split(".")[0] for number in found.numbers}
-    assert not any("ambiguous" in sentence for sentence in found.limits)
 
 
 # --- springs that may be none -------------------------------------------------------------------------------------

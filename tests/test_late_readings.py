@@ -89,24 +89,17 @@ def test_a_low_pass_that_biases_the_inertia_is_replaced_and_said(
 
 
 @pytest.mark.slow
-def test_stated_errors_of_the_model_are_handed_on(tmp_path: Path) -> None:
-    """They are no number of the fit, and the file that is written has them again."""
+def test_a_low_pass_that_biases_nothing_is_kept_and_stated_errors_are_handed_on(tmp_path: Path) -> None:
+    """Those of the model are no number of the fit, and the file that is written has them again."""
     stated = {"mass": 0.01, "gain": 0.02, "force": 0.1}
     machine = override_machine(like(tmp_path, 1000.0, 100.0), {"estimator": {"disturbance": stated}})
     found = identify([spinning_axis(1000.0, 0.0, 3)], Wanted("axis", like=machine))
     assert_true(found)
+    assert found.machine.sampling.velocity_cutoff == 100.0
+    assert not [warning for warning in found.warnings if "in place of" in warning]
     disturbance = found.machine.estimator.disturbance
     assert (disturbance.mass, disturbance.gain, disturbance.force) == (0.01, 0.02, 0.1)
     assert "[estimator.disturbance]" in found.toml
-
-
-@pytest.mark.slow
-def test_a_low_pass_that_biases_nothing_is_kept(tmp_path: Path) -> None:
-    log = spinning_axis(1000.0, 0.0, 3)
-    found = identify([log], Wanted("axis", like=like(tmp_path, 1000.0, 100.0)))
-    assert_true(found)
-    assert found.machine.sampling.velocity_cutoff == 100.0
-    assert not [warning for warning in found.warnings if "in place of" in warning]
 
 
 @pytest.mark.slow

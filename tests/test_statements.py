@@ -88,7 +88,7 @@ def test_a_number_has_one_owner(machine: Machine) -> None:
 
 def test_a_number_that_differs_between_records_is_stated_once(machine: Machine, tmp_path: Path) -> None:
     first = cases.explained(machine)
-    group = ParameterGroup.own("force_ripple", "force_ripple")
+    group = ParameterGroup("own", "force_ripple", "force_ripple")
     found = replace(first, differences=(OwnDifference(group, "amplitude_N", (0.8, 1.6)),))
     about = {s.about: s for s in found.statements if s.kind == "number"}
     assert about["force_ripple.amplitude_N"].rule is Rule.DIFFERING and not found.identifies(found.causes[0])

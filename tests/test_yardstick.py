@@ -1,7 +1,6 @@
 """The yardstick's table is what its program prints, and the export of a filter is the filter by hand."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,12 +36,3 @@ def test_the_table_is_what_the_cores_say(problem: tuple[bytes, np.ndarray[tuple[
         ours, measured = (scores[name, core].error(truth) for name in ("sgms-mhe", "none"))
         assert 5.0 * ours < scores["ekf", core].error(truth) < 0.5 * measured
     assert len(stated()) == len(scores)
-
-
-def test_every_entry_has_its_files() -> None:
-    for entry in ENTRIES.values():
-        assert Path(FOLDER / entry.source).is_file() and Path(FOLDER / entry.exporter).exists()
-        source = (FOLDER / entry.source).read_text()
-        headers = [FOLDER / name for name in re.findall(r'#include "(\w+\.h)"', source)]
-        unit = source + "".join(header.read_text() for header in headers if header.is_file())
-        assert re.search(r"^float entry_tick\([^;]*\)$", unit, re.MULTILINE)  # defined, not declared alone
