@@ -16,7 +16,7 @@ from sgms_mhe.api.inputs import read_log
 from sgms_mhe.configuration import carry_load
 from sgms_mhe.identification.result import Identification
 from sgms_mhe.machine import Machine
-from sgms_mhe.recordings.free_run import MotionRecord
+from sgms_mhe.recordings.free_run import FreeRunRecord
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.numbers import SIGMAS
 from sgms_mhe.support.parallel import run_parallel
@@ -105,7 +105,7 @@ def _free_errors(machine: Machine, logs: Sequence[Log]) -> list[float]:
 
 def _free_error(machine: Machine, log: Log) -> float:
     loaded = carry_load(machine, log.run)
-    record = MotionRecord(loaded, log)
+    record = FreeRunRecord(loaded, log)
     runs, _ = record.run(record.axis(loaded), record.stretches)
     errors = [run - record.position[a:b] for run, (a, b) in zip(runs, record.stretches, strict=True)]
     return float(np.mean(np.abs(np.concatenate(errors))))

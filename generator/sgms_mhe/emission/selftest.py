@@ -137,7 +137,7 @@ def selftest_vectors(model: Model) -> Vectors:
         _force_ahead(model, *of, signals, log.position_m, later, lags, ahead if of is second and lags else None)
         for of, later, lags in ((first, 0, True), (second, 1, True), (second, 1, False))
     )
-    largest, farthest = _round_values(np.array([np.abs(each).max() for each in (first[0].friction_N, first[0].z_m)]))
+    largest, farthest = round_values(np.array([np.abs(each).max() for each in (first[0].friction_N, first[0].z_m)]))
     return Vectors(
         motion=motion,
         largest=largest,
