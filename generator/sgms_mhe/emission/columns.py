@@ -71,7 +71,7 @@ def _lines(lines: list[str]) -> Iterator[str]:
 
 
 def _comment(block: list[str]) -> Iterator[str]:
-    """Yield a comment with the paragraphs filled with a line too long; tables keep their columns."""
+    """Yield a comment, its paragraphs with a line too long filled anew; tables keep their columns."""
     indent = " " * (len(block[0]) - len(block[0].lstrip()))
     closes_alone = block[-1].strip() == "*/"
     texts = [re.sub(r"^\s*(?:/\*| \*(?!/)|\*(?!/)) ?", "", line) for line in block]

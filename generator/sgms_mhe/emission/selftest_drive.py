@@ -24,7 +24,7 @@ _DRAWN = 128
 
 @dataclass(frozen=True)
 class DriveVectors:
-    """What the self-test of a drive compares.
+    """Vectors of the self-test of a drive.
 
     Attributes:
         forces: at the compared samples [N]; 1e30: none.
