@@ -232,6 +232,16 @@ def test_returns_0_where_velocities_are_rounded(require_tool: Tool, tmp_path: Pa
     assert answer(require_tool("gcc"), folder, tmp_path, *STRICT, "-O1") == 0
 
 
+def test_returns_0_where_the_force_stays_at_standstill(require_tool: Tool, tmp_path: Path) -> None:
+    """A window so short that forces held over from standstill are still dying away where they are compared."""
+    changes = {"name": "etel_xy", "estimator": {"horizon": 3, "relinearise": "all"}}
+    folder = written(emit_package(override_machine(load_machine("etel_xy_compensation"), changes)), tmp_path)
+    assert answer(require_tool("gcc"), folder, tmp_path, *STRICT, "-O1") == 0
+    header = folder / "etel_xy_compensation.h"
+    header.write_text(header.read_text().replace("friction + self->compensation.carry;", "friction;"))
+    assert answer(require_tool("gcc"), folder, tmp_path, "-O1") > 0
+
+
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_returns_0_where_doubt_ramps_the_force(precision: str, require_tool: Tool, tmp_path: Path) -> None:
     changes = {"estimator": {"kind": "ekf"}, "compensation": {"on_doubt": "ramp"}, "code": {"precision": precision}}

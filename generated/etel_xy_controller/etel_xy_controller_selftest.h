@@ -57,7 +57,6 @@ enum {
 #define SELFTEST_TOLERANCE 1e-04f /* relative, of friction and parameters */
 #define SELFTEST_COARSE 0.001f /* of deviations and readings */
 #define SELFTEST_AHEAD 0.001f /* of the force, which is carried on by other steps */
-#define SELFTEST_UNSET 0.001f /* of that without a set-point */
 #define FLOW_TOLERANCE 2e-06f /* of a displacement over the elements' own */
 #define FLOW_SLOPE (50.0f * FLOW_TOLERANCE) /* of its rate */
 /* of its derivative by the one before: two small rates, one over the other */

@@ -353,8 +353,7 @@ static int run_along(etel_xy_switching_t *axis, motion *m, int way)
             good = take_next(axis, way, m, &force) && good;
             taken = 1;
         }
-        if (!good || !is_near(force, forces[update - 1],
-            (way == BY_SAMPLE ? SELFTEST_AHEAD : SELFTEST_UNSET) * SELFTEST_LARGEST)) {
+        if (!good || !is_near(force, forces[update - 1], SELFTEST_AHEAD * SELFTEST_LARGEST)) {
             return update;
         }
     }

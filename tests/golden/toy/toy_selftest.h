@@ -57,7 +57,6 @@ enum {
 #define SELFTEST_TOLERANCE 2e-07 /* relative, of friction and parameters */
 #define SELFTEST_COARSE 2e-06 /* of deviations and readings */
 #define SELFTEST_AHEAD 0.001 /* of the force, which is carried on by other steps */
-#define SELFTEST_UNSET 0.001 /* of that without a set-point */
 #define SELFTEST_LARGEST 0.11330899 /* N, friction */
 #define SELFTEST_FARTHEST 1.1401641e-05 /* m, deflection */
 #define SELFTEST_UNIT 1e-07 /* N, of the motion's friction */
