@@ -79,16 +79,16 @@ def diagnose_logs(
         InputError: a log does not fit the machine, or has too few usable samples.
         FitError: a model is not finite along the record.
     """
-    task = _Task(prepare_logs(drop_disturbance(machine), logs, held_out_s), logs, held_out_s, told)
-    recording, begun = task.file.recording, None
-    if is_rough and _is_excited(recording, task.file.nominal):
+    request = _Request(prepare_logs(drop_disturbance(machine), logs, held_out_s), logs, held_out_s, told)
+    recording, begun = request.file.recording, None
+    if is_rough and _is_excited(recording, request.file.nominal):
         identified = told.report_identification
-        begun = begin_from_record(recording, task.file.nominal, identified, has_force=task.has_force)
-    return _diagnose_begun(task, begun)
+        begun = begin_from_record(recording, request.file.nominal, identified, has_force=request.has_force)
+    return _diagnose_begun(request, begun)
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _Request:
     """Inputs of a diagnosis.
 
     Attributes:
@@ -109,22 +109,22 @@ class _Task:
         return not all(log.is_friction_alone for log in self.logs)
 
 
-def _diagnose_begun(task: _Task, begun: RecordStart | None) -> Diagnosis:
+def _diagnose_begun(request: _Request, begun: RecordStart | None) -> Diagnosis:
     """Diagnose from the record's numbers where there are any; from the file's where no model of those is finite."""
     if begun is not None:
         try:
-            found, without = _diagnose_aligned(task, begun)
-            return _diagnose_again(task, begun, found, without)
+            found, without = _diagnose_aligned(request, begun)
+            return _diagnose_again(request, begun, found, without)
         except FitError as error:
             log_decision("beginning", "file stays: a model of the record's numbers is not finite", reason=str(error))
-    return _diagnose_aligned(task, None)[0]
+    return _diagnose_aligned(request, None)[0]
 
 
-def _diagnose_again(task: _Task, begun: RecordStart, found: Diagnosis, without: Recording) -> Diagnosis:
+def _diagnose_again(request: _Request, begun: RecordStart, found: Diagnosis, without: Recording) -> Diagnosis:
     """Diagnose anew what began from numbers that were identified with the causes still in the record.
 
     Args:
-        task: what is asked.
+        request: logs, held-out segments and progress.
         begun: the record's numbers.
         found: the diagnosis from these.
         without: the record without its causes.
@@ -136,7 +136,7 @@ def _diagnose_again(task: _Task, begun: RecordStart, found: Diagnosis, without: 
     """
     leaves_more = found.rms.held_out_after > found.rms.held_out_before
     if not found.is_rough or leaves_more:
-        again = _diagnose_aligned(task, None)[0]
+        again = _diagnose_aligned(request, None)[0]
         lost = again.verdict == "unexplained" != found.verdict
         log_decision(
             "beginning",
@@ -147,11 +147,11 @@ def _diagnose_again(task: _Task, begun: RecordStart, found: Diagnosis, without: 
         return found if lost else again
     if not found.causes or found.rms.held_out_after < FLOOR_SURE * found.noise_floor_N:
         return found
-    identified, machine = task.told.report_identification, task.file.machine
-    anew = identify_start(without, machine, begun.mass, identified, has_force=task.has_force)
+    identified, machine = request.told.report_identification, request.file.machine
+    anew = identify_start(without, machine, begun.mass, identified, has_force=request.has_force)
     if anew is None:
         return found
-    again, _ = _diagnose_aligned(task, anew)
+    again, _ = _diagnose_aligned(request, anew)
     log_decision(
         "beginning",
         "numbers identified without the causes, where they leave less",
@@ -162,32 +162,32 @@ def _diagnose_again(task: _Task, begun: RecordStart, found: Diagnosis, without: 
     return again if sharper else found
 
 
-def _diagnose_aligned(task: _Task, begun: RecordStart | None) -> tuple[Diagnosis, Recording]:
+def _diagnose_aligned(request: _Request, begun: RecordStart | None) -> tuple[Diagnosis, Recording]:
     """The diagnosis of a log with its force in step with its position, and the record without its causes.
 
     `begun`: the record's numbers, to begin from these; None: from the file's.
     """
-    machine, offset = task.file.machine, 0.0
+    machine, offset = request.file.machine, 0.0
     most = TIMING_MOST * machine.sampling.step
-    prepared = task.file if begun is None else prepare_logs(begun.machine, task.logs, task.held_out_s)
-    found, without = _diagnose_log(prepared, task, begun)
+    prepared = request.file if begun is None else prepare_logs(begun.machine, request.logs, request.held_out_s)
+    found, without = _diagnose_log(prepared, request, begun)
     while (more := sampling_offset(found)) and abs(offset + more) <= most:
         offset += more
         log_decision("record", "force put in step with position, and diagnosed again", offset_s=offset, most_s=most)
-        late = prepare_logs(prepared.machine, [in_step(log, offset) for log in task.logs], task.held_out_s)
-        found, without = _diagnose_log(late, task, begun)
+        late = prepare_logs(prepared.machine, [in_step(log, offset) for log in request.logs], request.held_out_s)
+        found, without = _diagnose_log(late, request, begun)
     return replace(found, offset_s=offset, warnings=(*offset_notes(machine, offset), *found.warnings)), without
 
 
-def _diagnose_log(prepared: Prepared, task: _Task, begun: RecordStart | None) -> tuple[Diagnosis, Recording]:
+def _diagnose_log(prepared: Prepared, request: _Request, begun: RecordStart | None) -> tuple[Diagnosis, Recording]:
     """The diagnosis of a log as it is, and the record without its causes.
 
     Args:
         prepared: the log along the machine to begin from.
-        task: what is asked.
+        request: logs, held-out segments and progress.
         begun: the record's numbers, where these are the beginning.
     """
-    file, source, progress = task.file, task.logs[0].source, task.told
+    file, source, progress = request.file, request.logs[0].source, request.told
     machine, record, recording, nominal = prepared.machine, prepared.record, prepared.recording, prepared.nominal
     if not _is_excited(recording, nominal):
         if recording is not record:
