@@ -7,7 +7,6 @@ import re
 import runpy
 import subprocess
 import sys
-import textwrap
 from contextvars import Context
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -437,8 +436,8 @@ def test_help_opens_with_the_functions_and_an_example_that_runs(capsys: pytest.C
     listed = re.findall(r"^    ([a-z_]+)  +\S", said.partition("Example:")[0], re.MULTILINE)
     functions = [name for name in sgms_mhe.__all__ if not isinstance(getattr(sgms_mhe, name), type)]
     assert sorted(listed) == functions
-    lines = re.findall(r"^    .*|^$", said.partition("Example:")[2], re.MULTILINE)
-    exec(compile(textwrap.dedent("\n".join(lines)), "help(sgms_mhe)", "exec"), {})
+    lines = re.findall(r"^    >>> (.*)", said.partition("Example:")[2], re.MULTILINE)
+    exec(compile("\n".join(lines), "help(sgms_mhe)", "exec"), {})
     friction_N, status = map(float, capsys.readouterr().out.split())
     assert 0.0 < friction_N < 30.0 and status >= 0
 

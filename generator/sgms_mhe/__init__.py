@@ -18,12 +18,11 @@ Functions, each with arguments, shapes, units and errors in its own help, as `he
     export       the axis for another simulator
 
 Example:
-    import sgms_mhe
-
-    machine = sgms_mhe.load("etel_xy")
-    run = sgms_mhe.simulate(machine, "mixed", duration_s=2.0, seed=1)
-    estimates = sgms_mhe.estimate(machine, run.log)
-    print(estimates.friction_N[-1], estimates.status[-1])
+    >>> import sgms_mhe
+    >>> machine = sgms_mhe.load("etel_xy")
+    >>> run = sgms_mhe.simulate(machine, "mixed", duration_s=2.0, seed=1)
+    >>> estimates = sgms_mhe.estimate(machine, run.log)
+    >>> print(estimates.friction_N[-1], estimates.status[-1])
 
 A machine is a path, a name in `machines/` or a `Machine`; a log is a path, a `Log`, a DataFrame or arrays by name.
 Results are frozen dataclasses; bad input is an `InputError`.
