@@ -207,5 +207,5 @@ def test_a_beginning_that_leaves_more_than_the_file_refutes_nothing(
     found = replace(bare, source="record", rms=Rms(1.0, 1.0, 0.4, left))
     unused: Any = None
     monkeypatch.setattr(verdict, "_diagnose_aligned", lambda *_: (replace(bare, source="file"), unused))
-    again = verdict._diagnose_again(unused, unused, found, unused, [recorded(machine, "", 1)], None, unused)
+    again = verdict._diagnose_again(unused, unused, found, unused)
     assert again.source == stands

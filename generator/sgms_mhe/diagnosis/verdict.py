@@ -121,7 +121,7 @@ def _diagnose_begun(request: _Request, begun: RecordStart | None) -> Diagnosis:
 
 
 def _diagnose_again(request: _Request, begun: RecordStart, found: Diagnosis, without: Recording) -> Diagnosis:
-    """Diagnose anew what began from numbers that were identified with the causes still in the record.
+    """Diagnose anew from a start identified with the causes still in the record.
 
     Args:
         request: logs, held-out segments and progress.
