@@ -228,7 +228,7 @@ def test_faults_of_a_drive_get_the_number_of_its_sentence(tmp_path: Path) -> Non
 
 
 def number_of_sentence(package: Package) -> int:
-    """What the self-test answers where a drive is another one: beyond all updates, 12."""
+    """Answer of the self-test where a drive is another one: beyond all updates, 12."""
     header = package.files["servo_selftest.h"]
     assert "12  The drive makes" in header
     updates, second = (int(re.findall(rf"SELFTEST_{name} = (\d+)", header)[0]) for name in ("UPDATES", "SECOND"))

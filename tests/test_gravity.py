@@ -117,7 +117,7 @@ def within(found: Identification, name: str, truth: float, deviations: float = 3
 
 @dataclass(frozen=True)
 class Told:
-    """What an identification has to say of an arm.
+    """Expected statements of an identification of an arm.
 
     Attributes:
         arm: whose size multiplies what is a torque.

@@ -15,8 +15,9 @@ from sgms_mhe.model import Model
 _ATOM, _UNARY, _PRODUCT, _SUM = range(4)
 _INFIX = {"add": ("+", _SUM), "sub": ("-", _SUM), "mul": ("*", _PRODUCT), "div": ("/", _PRODUCT)}
 _LONGEST_INLINE = 72
-REAL: Final = re.compile(r"(?<![\w.])(?:\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)f?(?![\w.])")
-"""A number as `CPrinter` prints it."""
+REAL: Final = r"(?:\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)"
+"""A number as `CPrinter` prints it in double precision, of a regular expression."""
+_NUMBER: Final = re.compile(rf"(?<![\w.]){REAL}f?(?![\w.])")
 
 
 class CPrinter:
@@ -96,7 +97,7 @@ class CPrinter:
     @staticmethod
     def _is_long(expression: str) -> bool:
         """Return True if a reader would want a name for it; digits have no say: other numbers, the same statements."""
-        return len(REAL.sub("0.0000", expression)) > _LONGEST_INLINE
+        return len(_NUMBER.sub("0.0000", expression)) > _LONGEST_INLINE
 
     def declaration(self, name: str, expression: str) -> str:
         """Return the statement that gives an intermediate value its name."""

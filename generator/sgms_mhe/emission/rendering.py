@@ -27,7 +27,7 @@ import jinja2
 from jinja2.ext import Extension
 from jinja2.lexer import Token, TokenStream
 
-from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.c_source import REAL, CPrinter
 from sgms_mhe.emission.columns import COLUMNS, INDENT, wrap_columns
 from sgms_mhe.emission.context import PackageView
 from sgms_mhe.support.paths import templates_dir
@@ -36,8 +36,8 @@ Precision = Literal["double", "single"]
 C_SUFFIXES: Final = (".c", ".h", ".hpp")
 
 _PIECE = re.compile(
-    r"""(?P<open>/\*) | (?P<close>\*/) | "(?:[^"\\\n]|\\.)*"
-    | (?<![\w.])(?P<literal>\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)(?![\w.])""",
+    rf"""(?P<open>/\*) | (?P<close>\*/) | "(?:[^"\\\n]|\\.)*"
+    | (?<![\w.])(?P<literal>{REAL})(?![\w.])""",
     re.VERBOSE,
 )
 

@@ -21,7 +21,7 @@ _ESTIMATOR: Final = re.compile(r"static const sgms_(?:real|chain) [^;]*;")
 """Numbers that an estimator has besides those of its model."""
 _NUMBERS: Final = re.compile(
     r"static const sgms_real (?P<name>\w+_constants)\[[^\]]*\](?P<row>\[[^\]]*\]) = (?P<array>[^;]*);"
-    rf"|(?P<table>static const [^;]*;)|(?P<real>{REAL.pattern})"
+    rf"|(?P<table>static const [^;]*;)|(?<![\w.])(?P<real>{REAL})(?![\w.])"
 )
 
 
@@ -37,7 +37,7 @@ def share_numbers(files: Mapping[str, str], machine: str) -> tuple[dict[str, str
     def put(found: re.Match[str]) -> str:
         first = len(numbers)
         if found["array"]:
-            numbers.extend(float(number) for number in re.findall(rf"-?{REAL.pattern}", found["array"]))
+            numbers.extend(float(number) for number in re.findall(rf"-?{REAL}", found["array"]))
             return f"#define {found['name']} ((const sgms_real (*){found['row']})(sgms_numbers + {first}))"
         if found["table"] or float(found[0]) in _PLAIN:
             return found[0]
