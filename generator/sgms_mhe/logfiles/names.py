@@ -6,6 +6,7 @@ nothing else: a set point, an error, a limit has a word more. Axes of one machin
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Final
 
 from sgms_mhe.logfiles.dialect import UNITS
@@ -48,6 +49,7 @@ _PARAMETER: Final = re.compile(
 _INDEX: Final = re.compile(r"\[\d+\]")
 
 
+@lru_cache(maxsize=65_536)  # each name is asked for every role, in every form
 def split_name(name: str) -> tuple[str, str]:
     """(name without its unit, that unit as it stands) of 'Position [mm]', 'F (N)', 't/ms', 'pos_mm', 'Pos., mm'.
 

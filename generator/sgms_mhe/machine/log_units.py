@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final, Literal, get_args
 
 from sgms_mhe.machine.units import Kind
@@ -137,6 +138,7 @@ _SPELLINGS: Final = {
 }
 
 
+@lru_cache(maxsize=65_536)
 def normal_unit(text: str) -> str:
     """A unit as this package spells it; an unknown spelling comes back without brackets and doubled spaces.
 
