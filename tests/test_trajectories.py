@@ -1,5 +1,9 @@
 """Reference trajectories: continuous, within their limits, closed where they are to be repeated."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -120,3 +124,26 @@ def test_bad_input_is_named(name: str, rate: float, options: dict[str, float], w
     with pytest.raises(InputError) as caught:
         make_trajectory(name, rate, **options)
     assert caught.value.where == where
+
+
+@pytest.mark.parametrize("kernels", ["Prescott", "Haswell"])
+def test_a_trajectory_does_not_hang_on_the_processor(kernels: str) -> None:
+    """A closed loop with an encoder's steps makes of a last digit another course of the noise."""
+    script = (
+        "from sgms_mhe.plant.trajectories import TRAJECTORIES\n"
+        "for name, path in TRAJECTORIES.items():\n"
+        "    print(name, path(2000.0, 0.05).position_m.tobytes().hex())\n"
+    )
+    narrow = {"OPENBLAS_CORETYPE": kernels, "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4"}
+    here, there = (
+        subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", script],
+            check=True,
+            env=os.environ | changes,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for changes in ({}, narrow)
+    )
+    assert here.count("\n") == len(TRAJECTORIES)
+    assert here == there

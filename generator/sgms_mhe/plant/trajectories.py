@@ -16,6 +16,14 @@ from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.errors import InputError
 
 
+def _each(function: Callable[[float], float], angles: Array) -> Array:
+    """Return a function of the C library at angles (n), alike on every processor; numpy's hang on its vectors.
+
+    In a closed loop with an encoder's steps a last digit grows to another course of the noise.
+    """
+    return np.array([function(angle) for angle in angles.tolist()])
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """A reference for the position controller.
@@ -85,7 +93,9 @@ class Motion:
         pulse = max(pulse, rise + smooth)  # rounded times must not let segments of jerk overlap
         steps = np.full(pulse, distance / pulse)
         for width in (rise, smooth):
-            steps = np.convolve(steps, np.full(width, 1.0 / width))
+            # By sums in turn: a convolution's hang on the processor, as numpy's sines do.
+            sums = np.cumsum(np.pad(steps, (width, width - 1)))
+            steps = (sums[width:] - sums[:-width]) / width
         way = np.cumsum(steps)
         # The sum's rounding is spread over the way: a jump at its end would be a kick, and would pile up over moves.
         self._parts.append(self.position + way * (distance / way[-1]))
@@ -104,8 +114,8 @@ class Motion:
         n = max(4, round((cycles + 1) * self.rate / frequency_Hz))
         t = np.arange(1, n + 1) / n * (cycles + 1)
         fade = np.minimum(1.0, np.minimum(2.0 * t, 2.0 * (cycles + 1 - t)))
-        smooth = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2)
-        self._parts.append(self.position + amplitude_m * smooth * np.sin(2.0 * np.pi * t))
+        smooth = fade * fade * fade * (10.0 - 15.0 * fade + 6.0 * fade * fade)
+        self._parts.append(self.position + amplitude_m * smooth * _each(math.sin, 2.0 * np.pi * t))
         self._parts[-1][-1] = self.position
 
     def loops(self, amplitudes_m: tuple[float, ...], velocity: float, acceleration: float, jerk: float) -> None:
@@ -248,8 +258,8 @@ def circle(rate: float, radius_m: float = 5e-3, velocity: float = 0.02, laps: in
     path.wait(0.1)
     angle = path.trajectory("angle").position_m / radius_m
     return (
-        Trajectory("circle_x", rate, radius_m * np.sin(angle)),
-        Trajectory("circle_y", rate, radius_m * (1.0 - np.cos(angle))),
+        Trajectory("circle_x", rate, radius_m * _each(math.sin, angle)),
+        Trajectory("circle_y", rate, radius_m * (1.0 - _each(math.cos, angle))),
     )
 
 
