@@ -125,13 +125,23 @@ class CompiledFit:
         total, wide = friction.copy(), None if jacobian is None else np.empty((m, len(theta)))
         shift = Shift.of(self._delay(theta), recording.machine.sampling.rate) if self.delayed else None
 
+        beside: list[tuple[Force, slice]] = []
+        first = coded
+        for force in self.forces:
+            columns = slice(first, first + len(force.parameters))
+            first = columns.stop
+            if not force.is_linear or shift is not None:
+                beside.append((force, columns))
+                continue
+            known = _run_linear(force, recording, theta[columns])
+            total += known @ np.append(1.0, theta[columns])
+            if wide is not None:
+                wide[:, columns] = known[:, 1:]
+
         def put(rows: slice) -> None:
             if wide is not None and jacobian is not None:
                 wide[rows, :coded] = jacobian[rows]
-            first = coded
-            for force in self.forces:
-                columns = slice(first, first + len(force.parameters))
-                first = columns.stop
+            for force, columns in beside:
                 own = None if wide is None else wide[:, columns]
                 by_shift = _add_force(force, recording, theta[columns], rows, shift, total, own)
                 if wide is not None and by_shift is not None:
@@ -223,6 +233,21 @@ class CompiledFit:
             self.code.advance(w, values, at.x, at.d_x, y, d)
             at.moved = True
             yield slice(first, last), y[back:], None if d is None else d[back:]
+
+
+def _run_linear(force: Force, recording: Recording, theta: Array) -> Array:
+    """Return a force that is linear in what is fitted: [N] where that is 0, and its derivatives (m, 1 + n_p).
+
+    A fit asks for it time and again, and those of a curve of many knots were most of its work.
+    """
+    at_zero, m = np.where(force.fitted, 0.0, theta), len(recording.time)
+
+    def run() -> tuple[Array, None]:
+        known = np.zeros((m, 1 + len(theta)))
+        _add_force(force, recording, at_zero, slice(0, m), None, known[:, 0], known[:, 1:])
+        return known, None
+
+    return recording.runs.get(force, recording.signals, at_zero, False, run)[0]
 
 
 def _add_force(

@@ -25,7 +25,7 @@ from sgms_mhe.model.effects.definition import ReadAs
 from sgms_mhe.model.effects.parameters import RecordLimit, StepLimit, any_step
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
-from sgms_mhe.support.arrays import Array
+from sgms_mhe.support.arrays import Array, Mask
 
 COARSE: Final = 4.0  # factor between nominal values that models are compiled for
 STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
@@ -258,17 +258,21 @@ class Force:
 
     Attributes:
         parameters: its free ones, in their order.
+        fitted: those of them that a fit moves (n_p); derivatives in the others are zero.
+        is_linear: whether the force is, in these.
         read_as: quantity as which other effects may use it.
     """
 
     parameters: tuple[FreeParameter, ...]
+    fitted: Mask
+    is_linear: bool
     read_as: ReadAs | None
     _evaluation: Evaluation
 
     def at(self, w: Array, theta: Array, *, derivatives: bool) -> tuple[Array, Array | None]:
         """Force (n) [N] at signals w (n, 5) with its theta (n_p), and its derivatives (n, n_p) where asked for."""
         n, n_p = len(w), len(self.parameters)
-        force, jacobian = np.empty(n), np.empty((n, n_p)) if derivatives else None
+        force, jacobian = np.empty(n), np.zeros((n, n_p)) if derivatives else None
         numbers = {free.column: float(value) for free, value in zip(self.parameters, theta, strict=True)}
         for first in range(0, n, AT_A_TIME):
             part = slice(first, first + AT_A_TIME)
@@ -276,8 +280,8 @@ class Force:
             found = self._evaluation.at({**signals, **numbers})
             force[part] = found[0]
             if jacobian is not None:
-                for i in range(n_p):
-                    jacobian[part, i] = found[1 + i]
+                for i, slope in zip(np.flatnonzero(self.fitted), found[1:], strict=True):
+                    jacobian[part, i] = slope
         return force, jacobian
 
 
@@ -286,13 +290,17 @@ def make_force(structure: ModelStructure) -> Force | None:
     """The last effect of a structure, if it is a plain force."""
     with SYMBOLIC:
         machine = extended_machine(structure)
-        plain = plain_force(machine, machine.effects[-1].label)
+        effect = machine.effects[-1]
+        plain = plain_force(machine, effect.label)
         if plain is None:
             return None
         names = [free.column for free in plain.parameters]
-        outputs = ca.vertcat(plain.force, ca.jacobian(plain.force, plain.theta).T)
-        evaluation = Evaluation(outputs, {"w": plain.w, "theta": plain.theta}, {"w": SIGNAL_NAMES, "theta": names})
-    return Force(plain.parameters, plain.read_as, evaluation)
+        fitted = np.array([not effect_definition(effect.name).parameter(n.partition(".")[2]).frozen for n in names])
+        theta = plain.theta[np.flatnonzero(fitted).tolist()]
+        slopes = ca.jacobian(plain.force, theta).T
+        inputs = {"w": plain.w, "theta": plain.theta}
+        evaluation = Evaluation(ca.vertcat(plain.force, slopes), inputs, {"w": SIGNAL_NAMES, "theta": names})
+    return Force(plain.parameters, fitted, not ca.depends_on(slopes, theta), plain.read_as, evaluation)
 
 
 @lru_cache(maxsize=FORCES_CACHED)

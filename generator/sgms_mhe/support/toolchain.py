@@ -21,10 +21,12 @@ from sgms_mhe.support.errors import BuildError
 DEFAULT_FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-DSGMS_VECTORS=1")
 # The same numbers in half the compiler's time: for code that it takes longer to compile than to run over a log.
 QUICK_FLAGS = ("-std=c99", "-O1", "-ffp-contract=off", "-DSGMS_VECTORS=1")
-# Registers with masks and gathers where this host has them. Operations and their order stay, so results do to the bit:
-# what `-ffp-contract=off` and strict arithmetic forbid they forbid here too.
-_WIDE = {"avx512f": "-mavx512f", "avx512dq": "-mavx512dq", "avx512vl": "-mavx512vl"}
-_WIDE_FLAGS = (*_WIDE.values(), "-mprefer-vector-width=256")
+# The widest registers of this host. Operations and their order stay, so results do to the bit: what
+# `-ffp-contract=off` and strict arithmetic forbid they forbid here too.
+_WIDE = {
+    ("avx512f", "avx512dq", "avx512vl"): ("-mavx512f", "-mavx512dq", "-mavx512vl", "-mprefer-vector-width=256"),
+    ("avx2",): ("-mavx2",),
+}
 _HOST = Path("/proc/cpuinfo")
 COMPILERS = ("gcc", "clang", "cc")
 PACKAGED = "ziglang"
@@ -76,13 +78,14 @@ def wide_flags() -> tuple[str, ...]:
         words = {word for line in _HOST.read_text().splitlines() if line.startswith("flags") for word in line.split()}
     except OSError:  # another system
         return ()
-    if not words.issuperset(_WIDE):
-        return ()
-    try:
-        tool_output([*compiler(), *_WIDE_FLAGS, "-x", "c", "-fsyntax-only", os.devnull])
-    except BuildError:
-        return ()
-    return _WIDE_FLAGS
+    for registers, flags in _WIDE.items():
+        if words.issuperset(registers):
+            try:
+                tool_output([*compiler(), *flags, "-x", "c", "-fsyntax-only", os.devnull])
+            except BuildError:  # a compiler that is older than the host
+                continue
+            return flags
+    return ()
 
 
 def load_library(path: Path) -> ctypes.CDLL:
