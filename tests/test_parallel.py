@@ -16,15 +16,12 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from record_cases import simulate_log
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis.alignment import decimate
-from sgms_mhe.diagnosis.fits import Subject
-from sgms_mhe.diagnosis.models import CompiledFit, compile_once
+from sgms_mhe.diagnosis.models import compile_once
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.machine import Machine
-from sgms_mhe.recordings import recording as recordings
-from sgms_mhe.recordings.recording import RUNS_CACHED, Runs, prepare
+from sgms_mhe.recordings.recording import RUNS_CACHED, Runs
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support import toolchain
@@ -293,37 +290,6 @@ def same_but_for_its_duration(one: Diagnosis, other: Diagnosis) -> None:
     assert repr(first) == repr(second)
     for field in fields(one.traces):
         np.testing.assert_array_equal(getattr(one.traces, field.name), getattr(other.traces, field.name), field.name)
-
-
-@pytest.mark.parametrize("law", ["sgms", "switching"])
-@pytest.mark.parametrize(("softer", "again"), [(1.0, 0), (0.02, 1)])
-def test_halves_of_a_record_run_as_the_whole_does(
-    law: str, softer: float, again: int, machine: Machine, log: Log, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where elements are so soft that the second half does not begin as the first one ends, it is run again."""
-    subject = decimate(Subject.of(override_machine(machine, {"friction": {"law": law}}), prepare(machine, log)))
-    model, recording = subject.model(()), subject.recording
-    theta = subject.start(model, ())
-    theta[[c.name.startswith("stiffness") for c in model.columns]] = softer
-    begun: list[int] = []
-    pieces = CompiledFit._pieces
-
-    def counted(self: CompiledFit, recording: Any, theta: Array, derivatives: bool, rows: slice, at: Any) -> Any:
-        begun.append(rows.start)
-        return pieces(self, recording, theta, derivatives, rows, at)
-
-    monkeypatch.setattr(CompiledFit, "_pieces", counted)
-    whole = model._run(recording, theta, True)
-    assert begun == [0]
-    monkeypatch.setattr(recordings, "SPLIT", 1000)
-    monkeypatch.setattr(recordings, "LONGEST_LEAD", 3)
-    halves = model._run(replace(recording), theta, True)
-    middle = len(recording.time) // 2
-    assert sum(start == middle for start in begun) == 1 + again
-    assert len(begun) == 1 + 3 + again and any(0 < start < middle for start in begun)
-    assert whole[1] is not None and halves[1] is not None
-    np.testing.assert_allclose(halves[0], whole[0], rtol=0.0, atol=1e-8 * machine.friction.coulomb)
-    np.testing.assert_allclose(halves[1], whole[1], rtol=0.0, atol=2e-6 * float(np.max(np.abs(whole[1]))))
 
 
 @pytest.mark.slow

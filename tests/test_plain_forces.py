@@ -126,7 +126,6 @@ def test_pieces_of_a_record_are_put_together(
         theta = np.full(len(model.columns), 1.1)
         whole = model.run(recording, theta)
         with monkeypatch.context() as patch:
-            patch.setattr(models, "SPLIT", 100)
             patch.setattr(models, "CHUNK", 700)
             patch.setattr("sgms_mhe.diagnosis.parametrisation.AT_A_TIME", 130)
             pieces = model.run(recording, theta)

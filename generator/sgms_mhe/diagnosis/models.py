@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -38,39 +38,16 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise
-from sgms_mhe.recordings.recording import SPLIT, Recording
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.recordings.series import Shift, row_means
 from sgms_mhe.support.arrays import Array, Mask
-from sgms_mhe.support.parallel import run_parallel
 
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
-SAME_STATE: Final = 1e-9  # of a state of about 1: two that differ by less go on alike
-SAME_SLOPES: Final = 1e-6  # the same for its derivatives
 MODELS_CACHED: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
 
 UNSTABLE: Final = 1e6
 """Derivative from which no integration step was short enough [largest friction]: a state that diverges shows in its
 derivatives first."""
-
-
-@dataclass(eq=False)
-class _State:
-    """State (n_x) at a sample and its derivatives (n_x, n_p); `moved`: whether it is not the one before the first."""
-
-    x: Array
-    d_x: Array
-    moved: bool = False
-
-    def copied(self) -> _State:
-        """The same, whatever this one does next."""
-        return _State(self.x.copy(), self.d_x.copy(), self.moved)
-
-    def is_close(self, other: _State) -> bool:
-        """Return True if no result from here would differ by an amount that matters."""
-        return bool(
-            np.max(np.abs(self.x - other.x)) < SAME_STATE
-            and np.max(np.abs(self.d_x - other.d_x)) < SAME_SLOPES * (1.0 + np.max(np.abs(other.d_x)))
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,31 +102,23 @@ class CompiledFit:
         total, wide = friction.copy(), None if jacobian is None else np.empty((m, len(theta)))
         shift = Shift.of(self._delay(theta), recording.machine.sampling.rate) if self.delayed else None
 
-        beside: list[tuple[Force, slice]] = []
+        if wide is not None and jacobian is not None:
+            wide[:, :coded] = jacobian
         first = coded
         for force in self.forces:
             columns = slice(first, first + len(force.parameters))
             first = columns.stop
-            if not force.is_linear or shift is not None:
-                beside.append((force, columns))
+            if force.is_linear and shift is None:
+                known = _run_linear(force, recording, theta[columns])
+                total += known @ np.append(1.0, theta[columns])
+                if wide is not None:
+                    wide[:, columns] = known[:, 1:]
                 continue
-            known = _run_linear(force, recording, theta[columns])
-            total += known @ np.append(1.0, theta[columns])
-            if wide is not None:
-                wide[:, columns] = known[:, 1:]
-
-        def put(rows: slice) -> None:
-            if wide is not None and jacobian is not None:
-                wide[rows, :coded] = jacobian[rows]
-            for force, columns in beside:
-                own = None if wide is None else wide[:, columns]
-                by_shift = _add_force(force, recording, theta[columns], rows, shift, total, own)
-                if wide is not None and by_shift is not None:
-                    wide[:, coded - 1] += by_shift * self.columns[coded - 1].scale
-
-        # What is shifted reads samples of other rows.
-        parts = [slice(0, m)] if m < SPLIT or shift is not None else [slice(0, m // 2), slice(m // 2, m)]
-        run_parallel([partial(put, rows) for rows in parts])
+            by_shift = _add_force(
+                force, recording, theta[columns], shift, total, None if wide is None else wide[:, columns]
+            )
+            if wide is not None and by_shift is not None:
+                wide[:, coded - 1] += by_shift * self.columns[coded - 1].scale
         return total, wide
 
     def _delay(self, theta: Array) -> float:
@@ -158,50 +127,17 @@ class CompiledFit:
 
     def _run(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
         m, factor, n_p = len(recording.time), recording.factor, self.model.n_p
-        # What effects' states there may be forget by time, not by motion.
-        begin = recording.second_half_begins if self.model.n_x == recording.machine.friction.n_z else None
-        if factor == 1 and m <= CHUNK and begin is None:  # one piece, whose samples are the rows
-            _, y, d = next(self._pieces(recording, theta, derivatives, slice(0, m), self._relaxed()))
-            return y, d
         force, jacobian = np.empty(m), np.empty((m, n_p)) if derivatives else None
-
-        def run(rows: slice, at: _State) -> _State:
-            for piece, y, d in self._pieces(recording, theta, derivatives, rows, at):
-                force[piece] = row_means(y, factor)
-                if jacobian is not None and d is not None:
-                    jacobian[piece] = row_means(d, factor)
-            return at
-
-        if begin is None:
-            run(slice(0, m), self._relaxed())
-            return force, jacobian
-        # Whether there is a core for the second half has no say in this: it must not change a result.
-        middle = m // 2
-
-        def run_second(lead: slice) -> _State:
-            at = self._relaxed()
-            for _ in self._pieces(recording, theta, False, lead, at):
-                pass
-            guessed = at.copied()
-            run(slice(middle, m), at)
-            return guessed
-
-        halves: list[Callable[[], _State]] = [
-            partial(run, slice(0, middle), self._relaxed()),
-            partial(run_second, slice(begin, middle)),
-        ]
-        reached, guessed = run_parallel(halves)
-        if not guessed.is_close(reached):
-            run(slice(middle, m), reached)
+        for piece, y, d in self._pieces(recording, theta, derivatives):
+            force[piece] = row_means(y, factor)
+            if jacobian is not None and d is not None:
+                jacobian[piece] = row_means(d, factor)
         return force, jacobian
-
-    def _relaxed(self) -> _State:
-        return _State(np.zeros(self.model.n_x), np.zeros((self.model.n_x, self.model.n_p)))
 
     def _run_late(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
         """The same, the drive's force as late as the last parameter says."""
-        scale, m = self.columns[self.model.n_p].scale, len(recording.time)
-        pieces = list(self._pieces(recording, theta[:-1], derivatives, slice(0, m), self._relaxed()))
+        scale = self.columns[self.model.n_p].scale
+        pieces = list(self._pieces(recording, theta[:-1], derivatives))
         inertial = recording.inertia * recording.signals.acceleration
         drive = np.concatenate([y for _, y, _ in pieces])
         inertial = inertial[: len(drive)]
@@ -214,24 +150,18 @@ class CompiledFit:
         return force, recording.reduce(np.column_stack((own, shift.slope_of(drive) * scale)))
 
     def _pieces(
-        self, recording: Recording, theta: Array, derivatives: bool, wanted: slice, at: _State
+        self, recording: Recording, theta: Array, derivatives: bool
     ) -> Iterator[tuple[slice, Array, Array | None]]:
-        """Rows, and at their samples the friction (k) [N] and its derivatives in the code's parameters (k, n_p).
-
-        Of the rows wanted, from a state on, which goes with them.
-        """
-        factor, n_p = recording.factor, self.model.n_p
-        values = np.ascontiguousarray(theta, dtype=np.float64)
+        """Rows, and at their samples the friction (k) [N] and its derivatives in the code's parameters (k, n_p)."""
+        factor, m, n_x, n_p = recording.factor, len(recording.time), self.model.n_x, self.model.n_p
+        values, state, sensitivity = np.ascontiguousarray(theta, dtype=np.float64), np.zeros(n_x), np.zeros((n_x, n_p))
         rows = max(1, CHUNK // factor)
-        for first in range(wanted.start, wanted.stop, rows):
-            last = min(wanted.stop, first + rows)
-            start, end = first * factor, last * factor
-            back = int(at.moved)  # the piece begins with the sample that its state belongs to
-            w = recording.inputs(start - back, end)
+        for first in range(0, m, rows):
+            last, back = min(m, first + rows), int(first > 0)  # a piece begins with the sample that its state is of
+            w = recording.inputs(first * factor - back, last * factor)
             y = np.empty(len(w))
             d = np.empty((len(w), n_p)) if derivatives else None
-            self.code.advance(w, values, at.x, at.d_x, y, d)
-            at.moved = True
+            self.code.advance(w, values, state, sensitivity, y, d)
             yield slice(first, last), y[back:], None if d is None else d[back:]
 
 
@@ -244,30 +174,24 @@ def _run_linear(force: Force, recording: Recording, theta: Array) -> Array:
 
     def run() -> tuple[Array, None]:
         known = np.zeros((m, 1 + len(theta)))
-        _add_force(force, recording, at_zero, slice(0, m), None, known[:, 0], known[:, 1:])
+        _add_force(force, recording, at_zero, None, known[:, 0], known[:, 1:])
         return known, None
 
     return recording.runs.get(force, recording.signals, at_zero, False, run)[0]
 
 
 def _add_force(
-    force: Force,
-    recording: Recording,
-    theta: Array,
-    rows: slice,
-    shift: Shift | None,
-    friction: Array,
-    jacobian: Array | None,
+    force: Force, recording: Recording, theta: Array, shift: Shift | None, friction: Array, jacobian: Array | None
 ) -> Array | None:
-    """Add a plain force with its parameters theta (n_p) to rows of the friction (m), and put its derivatives (m, n_p).
+    """Add a plain force with its parameters theta (n_p) to the friction (m), and put its derivatives (m, n_p).
 
     In pieces of bounded memory, and all at once where something shifts it. Returns its derivative in the shift (m)
     [N/s], if it has one.
     """
-    factor, by_shift = recording.factor, None
-    at_a_time = rows.stop if shift is not None else max(1, CHUNK // factor)
-    for first in range(rows.start, rows.stop, at_a_time):
-        part = slice(first, min(rows.stop, first + at_a_time))
+    factor, rows, by_shift = recording.factor, len(friction), None
+    at_a_time = rows if shift is not None else max(1, CHUNK // factor)
+    for first in range(0, rows, at_a_time):
+        part = slice(first, min(rows, first + at_a_time))
         y, d = force.at(recording.inputs(first * factor, part.stop * factor), theta, derivatives=jacobian is not None)
         if shift is not None:
             by_shift = recording.reduce(shift.slope_of(y))

@@ -56,15 +56,8 @@ class Evaluation:
                 elif node.op == "const":
                     values[node] = node.value
                 elif node.op == "lookup":
-                    values[node] = _look_up(node.table, values[node.args[0]])
+                    place = values[node.args[0]]
+                    values[node] = sum((np.where(place == k, value, 0.0) for k, value in node.table), np.float64(0.0))
                 else:
                     values[node] = _OPERATIONS[node.op](*(values[a] for a in node.args))
         return [np.asarray(values[node], dtype=np.float64) for node in self._wanted]
-
-
-def _look_up(table: Sequence[tuple[int, float]], place: Array) -> Array:
-    """Sum of the values of a table at places (n), 0 where it has none."""
-    named, values = np.array(table).T
-    places, which = np.unique(named, return_inverse=True)
-    found = np.minimum(np.searchsorted(places, place), len(places) - 1)
-    return np.where(places[found] == place, np.bincount(which, values)[found], 0.0)

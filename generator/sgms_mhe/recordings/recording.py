@@ -25,9 +25,6 @@ Run = tuple[Array, Array | None]
 """Friction (m) and its derivatives (m, n_p), None where not asked for."""
 RUNS_CACHED: Final = 12  # runs: a fit begins where another one ended, an alignment runs what a fit ended with
 INPUTS_KEPT: Final = 1_000_000  # samples, 40 MB
-SPLIT: Final = 20_000  # rows from which on halves of a record run at the same time
-LONGEST_LEAD: Final = 10  # share of a record, at most, that the second half runs through before it
-FORGOTTEN: Final = 24.0  # deflection scales of motion after which a start should not matter: by e^-24
 SEED: Final = 20240229  # of folds and held-out blocks: the same log gives the same verdict
 RATE_MAX: Final = 1000.0
 """Rows of a fit per second, at most [Hz]: friction has nothing to say above it."""
@@ -171,21 +168,6 @@ class Recording:
     def largest_friction(self) -> float:
         """Largest magnitude of measured friction on used rows [N], whatever alignment has taken from it since."""
         return float(np.max(np.abs(self.reduce(self.signals.friction)[self.used]), initial=0.0))
-
-    @cached_property
-    def second_half_begins(self) -> int | None:
-        """Row from which elements may be run for the second half, rows // 2 on, beside the first; None: from none.
-
-        They forget where they began once they have moved far enough.
-        """
-        m = len(self.time)
-        if m < SPLIT:
-            return None
-        middle, most = m // 2, m // LONGEST_LEAD
-        # Along what a model travels: pieces of a record need not meet.
-        way = np.cumsum(self.velocity[middle - most : middle][::-1]) / self.rate
-        lead = count_spanning(way, FORGOTTEN * scales_of(self.machine).deflection)
-        return None if lead >= most else middle - lead
 
     def inputs(self, start: int, end: int) -> Array:
         """Position, velocity, acceleration, force and the model's time of samples (k, 5); not to be written to."""
