@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from record_cases import record_axis, small_axis
+from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.identification.elements import NO_RISE, run_elements
 from sgms_mhe.identification.identify import Wanted, identify
 from sgms_mhe.identification.records import Records, filter_motion, scale_levels
@@ -43,6 +44,16 @@ def test_offset_level_and_damping_are_free_in_each_record(machine: Machine) -> N
     assert levels == pytest.approx({"record 1": 3.2, "record 2": 4.8, "record 3": 4.0}, rel=0.005)
     dampings = {name: float(size) for size, name in re.findall(r"([\d.]+) N s/m in (record \d)", damping)}
     assert dampings == pytest.approx({"record 1": 14.0, "record 2": 26.0, "record 3": 20.0}, rel=0.005)
+    # The file has one of each, so its estimator finds them again, and takes for noise what then is left.
+    assert found.machine.estimator.parameters == ("coulomb", "viscous", "constant_offset.force_N")
+    mean = numbers["constant_offset.force_N"].value
+    assert found.machine.estimator.prior == {"constant_offset.force_N": pytest.approx(0.3 + mean, rel=0.02)}
+    assert "# Of each record its own: constant_offset.force_N, coulomb, viscous." in found.toml
+    for log, offset, level in zip(logs, (0.5, -0.3, 0.2), (3.2, 4.8, 4.0), strict=True):
+        estimates = CompiledEstimator(found.machine).estimate_log(log)
+        by_name = dict(zip(estimates.parameter_names, estimates.parameters[-1], strict=True))
+        assert by_name["constant_offset.force_N"] == pytest.approx(offset, abs=0.05)
+        assert by_name["coulomb"] == pytest.approx(level, rel=0.03)
 
 
 def test_terms_of_records_are_differences_to_their_mean(machine: Machine) -> None:

@@ -84,12 +84,13 @@ class CompiledModel:
         self.library = _compile(package, flags, "predict.c")
         self._predict = load_library(self.library).sgms_predict
 
-    def predict(self, signals: Signals, theta: Array | None = None) -> Prediction:
+    def predict(self, signals: Signals, theta: Array | None = None, slopes: Array | None = None) -> Prediction:
         """Run the model along the signals from relaxed elements on.
 
         Args:
             signals: n samples.
             theta: scaled parameters (n_p), 1 is nominal; None: nominal.
+            slopes: takes the derivatives in theta (n, n_p); None: not asked for.
 
         Raises:
             InputError: the machine merges samples into steps.
@@ -102,7 +103,7 @@ class CompiledModel:
         w = signal_array(signals, self.machine.sampling.step, mean=mean_samples(self.machine))
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
         friction = np.empty(len(signals))
-        self.advance(w, values, np.zeros(n_x), np.zeros((n_x, n_p)), friction, None)
+        self.advance(w, values, np.zeros(n_x), np.zeros((n_x, n_p)), friction, slopes)
         return Prediction(friction)
 
     def advance(

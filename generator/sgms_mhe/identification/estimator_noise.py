@@ -1,6 +1,6 @@
 """Noise of an estimator by its model's residual on the logs: its size and correlation time."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 import numpy as np
@@ -19,19 +19,21 @@ LEAST_NOISE: Final = 1e-4
 """Of the Coulomb level: a simulation without noise still has rounding and a sample's length."""
 
 
-def measure_noise(machine: Machine, logs: Sequence[Log]) -> float:
+def measure_noise(machine: Machine, logs: Sequence[Log], followed: Collection[str] = ()) -> float:
     """Return the RMS [N] of measured minus simulated friction over all valid samples of all logs.
 
-    Noise, and the model's error: with it an innovation is about as large as the estimator expects.
+    Beside what an estimator is told of a record, or finds in it: the parameters `followed`. Noise, and the model's
+    error: with it an innovation is about as large as the estimator expects.
     """
     model = CompiledModel(step_every_sample(machine))
+    found = [k for k, free in enumerate(model.model.parameters) if free.column in followed]
     total, count = 0.0, 0
     for log in logs:
         signals = signals_of_record(log, machine)
-        rest = (signals.friction - model.predict(signals).friction_N)[signals.valid]
-        if log.payload:  # which an estimator is told
-            a = signals.acceleration[signals.valid]
-            rest = rest - a * float(a @ rest) / max(float(a @ a), np.finfo(float).tiny)
+        slopes = np.empty((len(signals), model.model.n_p))
+        rest = (signals.friction - model.predict(signals, slopes=slopes).friction_N)[signals.valid]
+        known = np.column_stack([slopes[:, found], *([signals.acceleration] if log.payload else [])])[signals.valid]
+        rest = rest - known @ np.linalg.lstsq(known, rest)[0]
         total, count = total + float(rest @ rest), count + len(rest)
     return max(float(np.sqrt(total / max(count, 1))), LEAST_NOISE * machine.friction.coulomb)
 

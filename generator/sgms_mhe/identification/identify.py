@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,7 +27,7 @@ from sgms_mhe.identification.estimator_noise import measure_colour, measure_nois
 from sgms_mhe.identification.final_fit import FinalIdentification, Known, is_apart, make_final_fit, state_numbers
 from sgms_mhe.identification.fits import AxisFit, encoder_forces, fit_axis
 from sgms_mhe.identification.plain import fit_plain, measure_unseen
-from sgms_mhe.identification.record_numbers import list_record_numbers
+from sgms_mhe.identification.record_numbers import find_followed, list_record_numbers
 from sgms_mhe.identification.records import Records, filter_motion, make_records, sort_logs
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, name_all, replace_filter, rough_mass, unknown_axis
@@ -446,9 +447,11 @@ def describe(
     left = {"friction_N": friction, "floor_N": floor}
     others += [Statement(Rule.LAW_TOLD, "law", numbers={"law": law})] if found.decided else []
     others.append(Statement(Rule.FITTED, "file", final.held_out_rms, None, units.force, left))
-    noise = {"measurement": measure_noise(make_machine(machine_content(base, law, numbers, {}), path), logs)}
-    noise["colour"] = measure_colour(make_machine(machine_content(base, law, numbers, noise), path), logs)
-    content = machine_content(base, law, numbers, noise)
+    followed = find_followed(views.fine, fit)
+    write = partial(machine_content, base, law, numbers, followed=followed)
+    noise = {"measurement": measure_noise(make_machine(write({}), path), logs, followed)}
+    noise["colour"] = measure_colour(make_machine(write(noise), path), logs)
+    content = write(noise)
     # It says of the axis what no log does; while numbers were fitted, it would have been one of them.
     if wanted.like is not None and "disturbance" in wanted.like.content.get("estimator", {}):
         content["estimator"]["disturbance"] = wanted.like.content["estimator"]["disturbance"]
@@ -457,6 +460,7 @@ def describe(
         f"Written by sgms-mhe {verb} over {', '.join(Path(name).name for name in sorted(records.names))}.",
         "Intervals are two standard deviations.",
         f"On blocks that the fit{to_force} had not seen: {others[-1].sentence}.",
+        *([f"Of each record its own: {', '.join(units.named(name) for name in followed)}."] if followed else []),
         *(s.advice for s in list_open([*(number.state(units) for number in numbers), *others])),
     ]
     toml = machine_toml(units, content, numbers, head)

@@ -16,6 +16,7 @@ from sgms_mhe.identification.terms import (
     record_sizes,
     record_terms,
 )
+from sgms_mhe.identification.writing import OFFSET
 from sgms_mhe.machine import Units
 from sgms_mhe.support.arrays import Array
 
@@ -48,11 +49,25 @@ def find_record_levels(view: RecordView, fit: AxisFit) -> Array:
     return np.asarray(fit.coulomb * scales + record_sizes(term))
 
 
+def find_followed(view: RecordView, fit: AxisFit) -> dict[str, float]:
+    """Return the largest deviation from the mean of what differs between records, by the name of its parameter.
+
+    As in `[estimator.prior]`: of the offset [N], relative of level and damping.
+    """
+    damping = float(fit.coefficient("viscous").sum())
+    found = {
+        OFFSET: record_sizes(fit.coefficient(OFFSET_OF_RECORD)),
+        "coulomb": find_record_levels(view, fit) / max(fit.coulomb, NOTHING) - 1.0,
+        "viscous": record_sizes(fit.coefficient(DAMPING_OF_RECORD)) / damping if damping > 0.0 else np.empty(0),
+    }
+    return {name: float(f"{np.max(np.abs(sizes)):.3g}") for name, sizes in found.items() if np.any(sizes)}
+
+
 def list_record_numbers(names: Sequence[str], view: RecordView, fit: AxisFit, units: Units) -> tuple[str, ...]:
     """Return the sentences on each record's own numbers; the file has the means."""
     kinds = (OFFSET_OF_RECORD, DAMPING_OF_RECORD, MASS_OF_RECORD)
     offsets, damping, mass = (record_sizes(fit.coefficient(name)) for name in kinds)
-    mean = "; the file has the mean over records"
+    mean = "; the file has the mean over records, and its estimator follows each"
     if len(mass):
         mass = mass + view.rows.machine.plant.moved + float(fit.coefficient("mass").sum())
     stated = (

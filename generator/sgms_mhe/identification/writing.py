@@ -5,12 +5,14 @@ import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.result import Number
 from sgms_mhe.machine import Machine, Units, plant_content
+from sgms_mhe.machine.estimator import Noise
 from sgms_mhe.machine.writing import notes_of_table, toml_line, toml_table, toml_tables, wrap_comment
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.support.numbers import round_number
@@ -21,10 +23,17 @@ ESTIMATED: Final = ("coulomb", "viscous")
 """What changes on an axis with temperature and wear; of these the ones that the records determine are estimated."""
 BOUNDS: Final = {"coulomb": [0.3, 3.0], "viscous": [0.1, 5.0]}
 """Of nominal."""
+OFFSET: Final = "constant_offset.force_N"
 KEPT_ESTIMATOR: Final = ("kind", "horizon", "relinearise", "arrival_cost")
 
 
-def machine_content(base: Machine, law: Law, numbers: Sequence[Number], noise: Mapping[str, float]) -> dict[str, Any]:
+def machine_content(
+    base: Machine,
+    law: Law,
+    numbers: Sequence[Number],
+    noise: Mapping[str, float],
+    followed: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Any]:
     """Content of the machine file.
 
     Args:
@@ -32,6 +41,8 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], noise: M
         law: of the elements.
         numbers: as described.
         noise: known keys of [estimator.noise].
+        followed: numbers that differ between records, which the estimator follows: deviation from the file's by name,
+            as in [estimator.prior].
     """
     by_name = {number.name: number for number in numbers}
     units = base.plant.units
@@ -47,12 +58,16 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], noise: M
     sampling = {key: getattr(base.sampling, key) for key in kept if getattr(base.sampling, key)}
     if law == "sgms":
         sampling["integrator"] = {"scheme": "flow"}
-    estimated = [name for name in ESTIMATED if by_name[name].determined] or ["coulomb"]
+    estimated = [name for name in ESTIMATED if by_name[name].determined or name in followed] or ["coulomb"]
     estimator = {key: entry for key, entry in base.content.get("estimator", {}).items() if key in KEPT_ESTIMATOR}
-    estimator["parameters"] = estimated
+    estimator["parameters"] = [*estimated, *(units.named(name) for name in followed if name == OFFSET)]
     estimator["noise"] = dict(base.content.get("estimator", {}).get("noise", {}))
     estimator["noise"] |= {name: float(f"{value:.3g}") for name, value in noise.items()}
     estimator["bounds"] = {name: BOUNDS[name] for name in estimated}
+    wide = {units.named(n): size for n, size in followed.items() if n == OFFSET or size > Noise().parameter}
+    estimator |= {"prior": wide} if wide else {}
+    if OFFSET in followed:
+        value.setdefault(OFFSET, 0.0)
     effects: dict[str, dict[str, Any]] = {}
     for name, number in value.items():
         effect, dot, parameter = name.partition(".")
