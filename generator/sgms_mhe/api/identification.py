@@ -60,8 +60,6 @@ def identify(
     check_objective("identify", objective)
     model = None if like is None else override_log(load(like), table or {})
     read = read_logs(logs, model, table=table, note=note)
-    if not read:
-        raise InputError("identify", "logs", [], "at least one")
     moved = _moved_mass(read[0].units, mass, inertia)
     found = identify_logs(read, Wanted(name, moved, elements, model, objective), progress or LOGGER.info)
     own = toml_log(table, read[0].kind) if table and model is None else ""

@@ -15,7 +15,7 @@ from sgms_mhe.logfiles.reading import check_kind, log_of, understand, understand
 from sgms_mhe.machine import Machine, log_mapping
 from sgms_mhe.signals.drive import find_force
 from sgms_mhe.signals.logs import JITTER, Log, check_rate
-from sgms_mhe.support.errors import LogWarning
+from sgms_mhe.support.errors import InputError, LogWarning
 from sgms_mhe.support.notebooks import read_only
 
 LogSource = str | Path | Log | Frame | Mapping[str, Any]
@@ -105,9 +105,11 @@ def read_logs(
 ) -> list[Log]:
     """Read the logs of one axis, at one rate where they are resampled: the lowest of theirs, or the machine's.
 
-    Arguments and errors are those of `read_log`.
+    Arguments and errors are those of `read_log`; none at all is one too.
     """
     sources, table = list_sources(logs), dict(table or {})
+    if not sources:
+        raise InputError("logs", "logs", [], "at least one")
     if machine is not None or "rate" in table:
         return [read_log(log, machine, table=table, note=note) for log in sources]
     notes: list[list[str]] = [[] for _ in sources]

@@ -43,8 +43,8 @@ GATE: Final = 0.36
 RATE: Final = 1000.0
 """Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
 MERGED: Final = 4
-"""Points of a way that smooth elements take at once: their error falls with the square of a step [4e-5 of a level at
-most at 4 kHz], that of elements that switch, which cost a seventh, with the step."""
+"""Points of a way that smooth elements take at once: their error falls with the square of a step [1.2e-4 of a level rms
+of 2 um at 30 mm/s, 4 kHz], that of elements that switch, which cost a seventh, with the step."""
 LOAD_RATIO: Final = 0.5
 """Level over load that a loaded element is compiled for."""
 
