@@ -15,6 +15,10 @@
 #define POSITION_FROM position_from_metres
 #endif
 
+#ifdef SGMS_FREE /* numbers of the package that its caller sets */
+double sgms_free[SGMS_FREE];
+#endif
+
 typedef CALL(t) machine;
 typedef CALL(real) machine_real;
 typedef CALL(signals) machine_signals;

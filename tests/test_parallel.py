@@ -1,5 +1,6 @@
 """Work on several cores: the same results to the bit, whatever their number, and nothing run or compiled twice."""
 
+import ctypes
 import threading
 import time
 from collections.abc import Iterator
@@ -17,16 +18,19 @@ from record_cases import simulate_log
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.models import compile_once
-from sgms_mhe.emission.package import emit_package
-from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
+from sgms_mhe.host.shared_code import free_numbers
 from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.recording import RUNS_CACHED, Runs
+from sgms_mhe.reference.lasting import DOUBTED
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support import toolchain
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import VARIABLE, _cores, run_parallel, workers
+from sgms_mhe.support.toolchain import QUICK_FLAGS
 
 Array = NDArray[np.float64]
 RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
@@ -280,6 +284,26 @@ def test_machines_of_one_structure_share_code_that_changes_no_bit(settings: str,
     for each, code in zip((machine, other), shared, strict=True):  # in turns, so that each brings its own numbers
         assert_same_bits(each, code, CompiledModel(each, emit_package(each, selftest=False)))
     assert_same_bits(machine, shared[0], CompiledModel(machine, emit_package(machine, selftest=False)))
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_numbers_that_a_caller_sets_are_those_of_a_package_to_the_bit(
+    precision: str, machine: Machine, log: Log
+) -> None:
+    colour = 3.7
+    plain = override_machine(machine, {"code": {"precision": precision}})
+    stated = override_machine(plain, {"estimator": {"noise": {"colour": colour}}})
+    files, numbers = free_numbers(emit_package(plain, selftest=False).files, ("COLOUR_KNOWN", "DOUBTED_SPREAD"))
+    assert numbers.tolist() == [1.0, DOUBTED]
+    free = CompiledEstimator(plain, Package(plain, files), (*QUICK_FLAGS, "-DSGMS_FREE=2"))
+    known = (ctypes.c_double * 2).in_dll(free.library, "sgms_free")
+    known[:] = (colour * numbers).tolist()
+    found, expected = free.estimate_log(log), CompiledEstimator(stated).estimate_log(log)
+    np.testing.assert_array_equal(found.parameters, expected.parameters)
+    np.testing.assert_array_equal(found.std, expected.std)
+    np.testing.assert_array_equal(found.status, expected.status)
+    known[:] = numbers.tolist()
+    assert not np.array_equal(free.estimate_log(log).std, expected.std)
 
 
 # --- a whole diagnosis ------------------------------------------------------------------------------------------

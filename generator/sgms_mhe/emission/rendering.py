@@ -140,22 +140,14 @@ def _environment(precision: Precision) -> jinja2.Environment:
         array=printer.array,
         series=printer.series,
         rows=_rows,
-        each=_each,
+        each=lambda values, pattern: [pattern.format(value) for value in values],
         shown=_show,
-        braced=_brace,
+        braced=lambda values: "{" + ", ".join(map(str, values)) + "}",
         zip=zip,
         dotted=dot_unit,
         product=lambda unit: unit.replace(" ", "*"),
     )
     return environment
-
-
-def _brace(values: Iterable[object]) -> str:
-    return "{" + ", ".join(map(str, values)) + "}"
-
-
-def _each(values: Iterable[object], pattern: str) -> list[str]:
-    return [pattern.format(value) for value in values]
 
 
 def _show(values: Iterable[float]) -> str:

@@ -5,7 +5,7 @@ to run it. Operations and their order stay, so results do to the bit.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -53,3 +53,20 @@ def share_numbers(files: Mapping[str, str], machine: str) -> tuple[dict[str, str
             text = _NUMBERS.sub(put, _UNREAD.sub("", text))
         shared[name] = text
     return shared, np.array(numbers)
+
+
+def free_numbers(files: Mapping[str, str], names: Sequence[str]) -> tuple[dict[str, str], Array]:
+    """Return a package's files with `sgms_free[i]` in place of numbers that it defines, and the numbers (n).
+
+    Args:
+        files: by name; the library that -DSGMS_FREE=n makes of them has them in `double sgms_free[n]`.
+        names: of the definitions.
+    """
+    numbers: list[float] = []
+
+    def put(found: re.Match[str]) -> str:
+        numbers.append(float(found[2]))
+        return f"extern double sgms_free[];\n#define {found[1]} ((sgms_real)sgms_free[{len(numbers) - 1}])"
+
+    pattern = re.compile(rf"#define ({'|'.join(names)}) ({REAL})f?")
+    return {name: pattern.sub(put, text) for name, text in files.items()}, np.array(numbers)

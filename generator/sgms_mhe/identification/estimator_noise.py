@@ -1,17 +1,22 @@
 """Noise of an estimator by its model's residual on the logs: its size and correlation time."""
 
+import ctypes
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from sgms_mhe.configuration import override_machine, step_every_sample
+from sgms_mhe.configuration import step_every_sample
 from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
+from sgms_mhe.host.packages import cached_package
+from sgms_mhe.host.shared_code import free_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import signals_from_log, signals_of_record
 from sgms_mhe.signals.innovations import find_colour
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.status import MOST_DOUBT, measure_doubt
+from sgms_mhe.support.toolchain import QUICK_FLAGS
 
 TRIALS: Final = 6
 """Colours that are tried at most."""
@@ -44,9 +49,12 @@ def measure_colour(machine: Machine, logs: Sequence[Log]) -> float:
     Wandering parameters count in its doubt too: twice as much, where they have it in doubt of the logs that made it.
     """
     signals = [signals_from_log(log, machine) for log in logs]
-    colour = 1.0
+    package, colour = cached_package(machine), 1.0
+    files, numbers = free_numbers(package.files, ("COLOUR_KNOWN", "DOUBTED_SPREAD"))
+    estimator = CompiledEstimator(machine, replace(package, files=files), (*QUICK_FLAGS, f"-DSGMS_FREE={len(numbers)}"))
+    known = (ctypes.c_double * len(numbers)).in_dll(estimator.library, "sgms_free")
     for trial in range(TRIALS):
-        estimator = CompiledEstimator(override_machine(machine, {"estimator": {"noise": {"colour": colour}}}))
+        known[:] = (colour / machine.estimator.noise.colour * numbers).tolist()
         records = [estimator.estimate(each) for each in signals]
         if measure_doubt(np.concatenate([estimates.status for estimates in records])) <= MOST_DOUBT:
             break

@@ -21,10 +21,6 @@ MOVES: Final[Mapping[Move, str]] = {
 """Parts of an experiment, in the order in which it makes them."""
 
 
-def _never(_: Mapping[str, float], __: Extents) -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class Simpler:
     """Simpler causes an effect has as a limit.
@@ -35,7 +31,7 @@ class Simpler:
     """
 
     causes: tuple[str, ...] = ()
-    reached: Callable[[Mapping[str, float], Extents], bool] = _never
+    reached: Callable[[Mapping[str, float], Extents], bool] = lambda _, __: False
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -25,20 +25,12 @@ Value = float | tuple[float, ...]
 """Of a parameter in a machine file: a number, or a list of them."""
 
 
-def _always(_: Values, __: Scales) -> bool:
-    return True
-
-
 @dataclass(frozen=True)
 class Fault:
     """Number of a machine file that does not go with the others: its parameter, and the allowed values."""
 
     parameter: str
     allowed: str
-
-
-def _no_fault(_: Mapping[str, Value]) -> Fault | None:
-    return None
 
 
 PlantForce = Callable[[float, float, float, Values], float]
@@ -88,8 +80,8 @@ class EffectDefinition(CauseDefinition):
     full_rate: bool = False
     companion: bool = False
     fit_displacement: float | None = None
-    fault: Callable[[Mapping[str, Value]], Fault | None] = _no_fault
-    possible: Callable[[Values, Scales], bool] = _always
+    fault: Callable[[Mapping[str, Value]], Fault | None] = lambda _: None
+    possible: Callable[[Values, Scales], bool] = lambda _, __: True
     smooth_only: str = ""
     plant_force: PlantForce | None = None
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.motion import Extents, MotionRecord
+from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter, shape
 from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.support.arrays import Array
@@ -44,11 +44,7 @@ def drift_search(force: Callable[[MotionRecord], Array]) -> Columns:
 
 def drift_limit(base: str) -> Simpler:
     """A drift that is over at once is a wrong number, `base`."""
-    return Simpler((base,), _is_over)
-
-
-def _is_over(p: Values, extents: Extents) -> bool:
-    return p["time_constant_s"] < 0.01 * extents.end
+    return Simpler((base,), lambda p, extents: p["time_constant_s"] < 0.01 * extents.end)
 
 
 def _time_constants(motion: MotionRecord) -> list[Values]:

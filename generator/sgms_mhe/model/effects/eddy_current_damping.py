@@ -3,7 +3,7 @@
 import numpy as np
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
-from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Extents, Need, Simpler
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Need, Simpler
 from sgms_mhe.model.effects.parameters import shape
 from sgms_mhe.model.effects.search import Columns, Values, one_size
 
@@ -11,10 +11,6 @@ from sgms_mhe.model.effects.search import Columns, Values, one_size
 def _contribute(axis: SymbolicAxis, p: Expressions, _: Values) -> None:
     ratio = axis.velocity / p["corner_velocity_m_s"]
     axis.add_force(p["damping_N_s_m"] * axis.velocity / (1.0 + ratio * ratio))
-
-
-def _is_viscous(p: Values, extents: Extents) -> bool:
-    return p["corner_velocity_m_s"] > 2.0 * extents.speed
 
 
 DEFINITION = EffectDefinition(
@@ -37,7 +33,7 @@ DEFINITION = EffectDefinition(
     },
     moves=("speeds",),
     excludes=("friction_curve",),
-    simpler=Simpler(("viscous",), _is_viscous),
+    simpler=Simpler(("viscous",), lambda p, extents: p["corner_velocity_m_s"] > 2.0 * extents.speed),
     search=Columns(
         lambda m, p: (m.velocity / (1.0 + (m.velocity / p["corner_velocity_m_s"]) ** 2))[:, None],
         one_size("damping_N_s_m"),

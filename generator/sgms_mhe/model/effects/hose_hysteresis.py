@@ -5,7 +5,7 @@ import numpy as np
 from scipy.linalg.blas import dtbsv
 
 from sgms_mhe.model.axis import Expressions, SymbolicAxis
-from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, Extents, MotionRecord, Need, Simpler
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation, MotionRecord, Need, Simpler
 from sgms_mhe.model.effects.search import Columns, Values
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 from sgms_mhe.support.arrays import Array
@@ -26,10 +26,6 @@ def _contribute(axis: SymbolicAxis, p: Expressions, nominal: Values) -> None:
     v = axis.velocity
     state.rate = rho * (v - ca.fabs(v) * state.chi)
     axis.add_force(p["force_N"] * state.chi)
-
-
-def _is_spring(p: Values, extents: Extents) -> bool:
-    return p["force_N"] > 0.7 * extents.travel * abs(p["stiffness_N_m"])
 
 
 def _dahl(motion: MotionRecord, length: float) -> Array:
@@ -62,7 +58,7 @@ DEFINITION = EffectDefinition(
         "coulomb": "short and long strokes: Coulomb friction is there after micrometres",
     },
     moves=("loops", "travel", "places"),
-    simpler=Simpler(("position_spring",), _is_spring),
+    simpler=Simpler(("position_spring",), lambda p, m: p["force_N"] > 0.7 * m.travel * abs(p["stiffness_N_m"])),
     search=Columns(
         lambda m, p: _dahl(m, p["length"])[:, None],
         lambda p, size: {"force_N": float(size[0]), "stiffness_N_m": float(size[0]) / p["length"]},
