@@ -21,16 +21,7 @@ from sgms_mhe.api.identification import survey
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification import Identification, Wanted, final_fit, identify
-from sgms_mhe.identification.elements import (
-    GATE,
-    MERGED,
-    MOST_STEPS,
-    SLOW_STEP,
-    Law,
-    Stribeck,
-    least_distance,
-    run_element,
-)
+from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis, stribeck_limits
 from sgms_mhe.identification.records import ElementMotion, filter_motion, make_records, sort_logs
 from sgms_mhe.identification.result import Number
@@ -47,7 +38,7 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion as Path_
 from sgms_mhe.recordings.least_squares import solve_nonnegative
 from sgms_mhe.recordings.path import smooth_path
-from sgms_mhe.recordings.recording import Runs, prepare
+from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.reference import ReferenceIntegrator
 from sgms_mhe.signals.chain import Signals, apply_chain, find_lost, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
@@ -324,26 +315,6 @@ def test_elements_see_where_an_axis_turns_between_samples() -> None:
     assert np.abs(position).max() < 0.93e-5
     assert 0.98e-5 < np.abs(path[100 * motion.steps : -100 * motion.steps]).max() < 1.02e-5
     assert np.array_equal(motion.pick_samples(path), path[motion.steps - 1 :: motion.steps])
-
-
-@pytest.mark.parametrize("distance", [2e-6, 2e-5, 1e-4])
-def test_smooth_elements_take_several_points_of_a_way_at_once(distance: float) -> None:
-    time = np.arange(2000) / RATE
-    position = 1e-3 * np.sin(2.0 * np.pi * RATE / 200.0 * time)
-    motion = make_records(axis(), [Log(time, position, np.sin(40.0 * time), RATE)]).fine[0]
-    assert motion.steps % MERGED == 0
-    fine = dataclasses.replace(  # as many again between each two, which are taken at once
-        motion,
-        velocity=np.repeat(motion.velocity, MERGED),
-        rate=MERGED * motion.rate,
-        steps=MERGED * motion.steps,
-        runs=Runs(1),
-    )
-    rise = Stribeck(0.3, 5e-3)
-    each = run_element(fine, "sgms", distance, rise)
-    found = run_element(motion, "sgms", distance, rise)
-    assert np.abs(found.chi - each.chi).max() < 1e-3
-    assert np.sqrt(np.mean((found.chi - each.chi) ** 2)) < 1.5e-4
 
 
 @pytest.mark.parametrize("step", [1e-9, 1e-6])

@@ -23,7 +23,6 @@ from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.model.effects import effect_definition, effect_names
 from sgms_mhe.model.effects.search import Columns
-from sgms_mhe.recordings.series import row_means
 from sgms_mhe.support.arrays import Array
 from sgms_mhe.support.parallel import run_parallel
 
@@ -42,9 +41,6 @@ GATE: Final = 0.36
 """Speed over the Stribeck velocity from which the gate of the smooth law, with its usual smoothing, is saturated."""
 RATE: Final = 1000.0
 """Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
-MERGED: Final = 4
-"""Points of a way that smooth elements take at once: their error falls with the square of a step [1.2e-4 of a level rms
-of 2 um at 30 mm/s, 4 kHz], that of elements that switch, which cost a seventh, with the step."""
 LOAD_RATIO: Final = 0.5
 """Level over load that a loaded element is compiled for."""
 
@@ -79,27 +75,26 @@ def run_element(
     It runs in a unit of length in which that is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
     element then serves all that have about the same Stribeck velocity in these. One that has just run is not run again.
     """
-    merged = math.gcd(motion.steps, MERGED) if law == "sgms" else 1
-    unit = DISTANCE / distance * RATE / (motion.rate / merged)
+    unit = DISTANCE / distance * RATE / motion.rate
     code = _compile(law, _nominal(law, rise.velocity * unit), motion.load is not None)
     nominal = np.array([p.nominal for p in code.model.parameters])
     values = np.array([1.0 / DISTANCE, rise.ratio, rise.velocity * unit])
 
     def run() -> tuple[Array, Array | None]:
-        velocity, every = row_means(motion.velocity, merged), motion.steps // merged
-        w = np.zeros((len(velocity), 5))
-        w[:, 1] = velocity * unit
-        load = None if motion.load is None else row_means(motion.load, merged)
-        if load is not None:
-            w[:, 2] = load / LOAD_RATIO
-        n = len(w) // every
+        w = np.zeros((len(motion.velocity), 5))
+        w[:, 1] = motion.velocity * unit
+        if motion.load is not None:
+            w[:, 2] = motion.load / LOAD_RATIO
+        n = len(w) // motion.steps
         chi, d = np.empty(n), np.empty((n, 3)) if jacobian else None
         code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d)
         if d is not None:
             # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
             d *= np.array([-values[0], 1.0, values[2]]) / nominal
-        if load is not None:
-            chi, d = _take_load_off(load[every - 1 :: every], velocity[every - 1 :: every], rise, chi, d)
+        if motion.load is not None:
+            chi, d = _take_load_off(
+                motion.pick_samples(motion.load), motion.pick_samples(motion.velocity), rise, chi, d
+            )
         return motion.to_rows(chi), None if d is None else motion.to_rows(d)
 
     # The unit says which distance it is: values alone are those of others at another speed as well.
