@@ -87,10 +87,11 @@ def compile_probe(
     return ctypes.CDLL(str(shared_library([path], [*include, runtime_dir()], [*flags, *definitions])))
 
 
-@lru_cache(maxsize=2)
-def runtime_probe(precision: str) -> ctypes.CDLL:
-    """tests/c/runtime_probe.c in one precision."""
-    return compile_probe("runtime_probe.c", definitions=[f"-DSGMS_SINGLE={int(precision == 'single')}"])
+@lru_cache(maxsize=4)
+def runtime_probe(precision: str, vectors: bool = True) -> ctypes.CDLL:
+    """tests/c/runtime_probe.c in one precision, in the form for vectors or the plain one."""
+    definitions = [f"-DSGMS_SINGLE={int(precision == 'single')}", "-USGMS_VECTORS", f"-DSGMS_VECTORS={int(vectors)}"]
+    return compile_probe("runtime_probe.c", definitions=definitions)
 
 
 def pointer(array: NDArray[Any]) -> ctypes.c_void_p:

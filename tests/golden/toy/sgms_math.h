@@ -276,12 +276,22 @@ static inline sgms_real sgms_exp2_core(sgms_real x)
     return sgms_from_bits((sgms_integer)scaled);
 }
 
+/* Where loops around it vectorise without a branch, which would keep them from it. NaN stays one.
+ */
 static inline sgms_real sgms_exp(sgms_real x)
 {
+#if SGMS_VECTORS
+    const sgms_integer is_number = -(sgms_integer)(x == x);
+    const sgms_integer is_low = sgms_less(-SGMS_EXP_LOWEST, -x) & is_number;
+    const sgms_integer is_high = sgms_less(SGMS_EXP_HIGHEST, x) & is_number;
+    return sgms_select(
+        is_low, SGMS_R(0.0), sgms_exp_core(sgms_select(is_high, SGMS_EXP_HIGHEST, x)));
+#else
     if (x < SGMS_EXP_LOWEST) {
         return SGMS_R(0.0);
     }
     return sgms_exp_core(x > SGMS_EXP_HIGHEST ? SGMS_EXP_HIGHEST : x);
+#endif
 }
 
 /* tanh(x) = 1 - 2 / (1 + exp(2 x)); the clamp is written with absolute values because compilers
