@@ -9,6 +9,31 @@ static __thread double sgms_numbers[SGMS_NUMBERS];
 #define SGMS_JOIN2(a, b) a##_##b
 #define SGMS_JOIN(a, b) SGMS_JOIN2(a, b)
 
+#ifdef SGMS_STATES /* the states in place of the force: each knows of ENTERED parameters at most */
+#define FORCES STATES
+#define SLOPES (STATES * ENTERED)
+
+static void put_force(
+    const sgms_real *x,
+    const sgms_real *d_x,
+    const double *signals,
+    const sgms_real *theta,
+    double *force,
+    double *d_force)
+{
+    (void)signals;
+    (void)theta;
+    for (int i = 0; i < STATES; i++) {
+        force[i] = (double)x[i];
+        for (int k = 0; d_force && k < ENTERED; k++) {
+            d_force[i * ENTERED + k] = (double)d_x[i * PARAMETERS + enters[i][k]];
+        }
+    }
+}
+#else
+#define FORCES 1
+#define SLOPES PARAMETERS
+
 /* Force at one sample; d_force = C d_x + D. */
 static void put_force(
     const sgms_real *x,
@@ -32,6 +57,7 @@ static void put_force(
         d_force[p] = (double)sum;
     }
 }
+#endif
 
 /* Terms of the step that ends at `last`, of signals that are constant through it or lines; samples lie one behind the
  * other. */
@@ -131,8 +157,8 @@ int sgms_predict(
                 blocks_states(&at, blocks, map.x);
             }
             put_force(
-                map.x, sensitivity, signals + SIGNALS * k, at.theta, force + row,
-                d_force ? d_force + row * PARAMETERS : 0);
+                map.x, sensitivity, signals + SIGNALS * k, at.theta, force + row * FORCES,
+                d_force ? d_force + row * SLOPES : 0);
         }
     }
     blocks_end(&at, blocks, start, &map);

@@ -21,7 +21,17 @@ from sgms_mhe.api.identification import survey
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification import Identification, Wanted, final_fit, identify
-from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
+from sgms_mhe.identification.elements import (
+    GATE,
+    MOST_STEPS,
+    SLOW_STEP,
+    ElementRun,
+    Law,
+    Stribeck,
+    least_distance,
+    run_bank,
+    run_elements,
+)
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis, stribeck_limits
 from sgms_mhe.identification.records import ElementMotion, filter_motion, make_records, sort_logs
 from sgms_mhe.identification.result import Number
@@ -190,6 +200,28 @@ def random_motion(n: int = 3000) -> Array:
 def random_load(n: int = 3000) -> Array:
     """Return the level that a load adds over the level without it (n), from 0 to 2, slowly."""
     return np.asarray(1.0 + np.sin(np.arange(n) / 300.0))
+
+
+def run_element(
+    motion: ElementMotion, law: Law, distance: float, rise: Stribeck, *, jacobian: bool = True
+) -> ElementRun:
+    (run,) = run_bank(motion, law, np.array([distance]), rise, jacobian=jacobian)
+    return run
+
+
+@pytest.mark.parametrize("load", [None, random_load()], ids=["free", "loaded"])
+@pytest.mark.parametrize("law", ["switching", "sgms"])
+def test_elements_side_by_side_are_those_alone(law: Law, load: Array | None) -> None:
+    """Six of them, a full bank and one with lanes to spare; the stiffest smooth ones take many steps and run alone."""
+    motion, rise = still(random_motion(), load=load), Stribeck(0.3, 1e-3)
+    distances = np.array([3e-5, 5e-6, 8e-9, 4e-7, 1e-4, 2e-6, 7e-5, 1e-9])
+    together = run_elements([motion], law, distances, rise)
+    tolerance = 1e-12 if law == "switching" else 2e-5
+    for distance, found in zip(distances.tolist(), together, strict=True):
+        alone = run_element(motion, law, distance, rise)
+        assert np.max(np.abs(found.chi - alone.chi)) < tolerance
+        scale = np.abs(alone.jacobian).max(axis=0)
+        assert np.all(np.abs(found.jacobian - alone.jacobian).max(axis=0) < 100.0 * tolerance * np.maximum(scale, 1.0))
 
 
 @pytest.mark.parametrize("load", [None, random_load()], ids=["free", "loaded"])

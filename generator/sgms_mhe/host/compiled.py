@@ -64,12 +64,13 @@ class CompiledModel:
     Args:
         machine: the machine file.
         package: its package, if it was generated already; it runs as it was emitted.
+        states: whether `advance` gives the states in place of the friction: of an element its force over its level.
 
     Attributes:
         library: the compiled code, which models of one structure have in common.
     """
 
-    def __init__(self, machine: Machine, package: Package | None = None) -> None:
+    def __init__(self, machine: Machine, package: Package | None = None, *, states: bool = False) -> None:
         self.machine = machine
         with SYMBOLIC:
             self.model = build_model(machine)
@@ -81,6 +82,8 @@ class CompiledModel:
             files, self._numbers = share_numbers(package.files, machine.name)
             package = replace(package, files=files)
             flags += (f"-DSGMS_NUMBERS={len(self._numbers)}",)
+        if states:
+            flags += ("-DSGMS_STATES",)
         self.library = _compile(package, flags, "predict.c")
         self._predict = load_library(self.library).sgms_predict
 
@@ -116,8 +119,10 @@ class CompiledModel:
             theta: scaled parameters (n_p).
             state: node state (n_x), from the first sample's to the last's.
             sensitivity: its derivatives in theta (n_x, n_p), likewise.
-            force: takes the friction (k) [N] at the last of every n / k samples; None: not asked for.
-            slopes: takes its derivatives in theta (k, n_p); None: not asked for.
+            force: takes the friction (k) [N], or the states (k, n_x), at the last of every n / k samples; None: not
+                asked for.
+            slopes: takes its derivatives in theta (k, n_p), or of each state in those that enter it (k, n_x, entered);
+                None: not asked for.
 
         Raises:
             ValueError: no whole number of integration steps.

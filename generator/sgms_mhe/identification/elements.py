@@ -1,10 +1,10 @@
-"""Single friction elements along a motion, with derivatives, by the emitted C of an axis of one element.
+"""Single friction elements along a motion, with derivatives, by the emitted C of an axis of elements alone.
 
 The elements of an axis know nothing of one another: each obeys its own equation, given the velocity. With unit level
 
     y = sum_k L_k chi(D_k, beta, v_s),    L_k = nu_k f_C,    D_k = nu_k f_C / kappa_k
 
-so that one compiled element of level 1 serves any number of them, and levels are linear. A load adds to the level and
+so that compiled elements of one level serve any number of them, and levels are linear. A load adds to the level and
 not to the stiffness: the element breaks away later, and of its force the share of the level without the load counts.
 """
 
@@ -43,6 +43,8 @@ RATE: Final = 1000.0
 """Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
 LOAD_RATIO: Final = 0.5
 """Level over load that a loaded element is compiled for."""
+BANK: Final = 4
+"""Elements that run side by side: lanes of a vector of 256 bits."""
 
 _one_at_a_time = threading.Lock()
 
@@ -67,18 +69,21 @@ class ElementRun:
     jacobian: Array
 
 
-def run_element(
-    motion: ElementMotion, law: Law, distance: float, rise: Stribeck, *, jacobian: bool = True
-) -> ElementRun:
-    """An element that breaks away after `distance` [m], relaxed at first, along a motion.
+def run_bank(
+    motion: ElementMotion, law: Law, distances: Array, rise: Stribeck, *, jacobian: bool = True
+) -> list[ElementRun]:
+    """Elements that break away after `distances` (k, at most BANK) [m], relaxed at first, along a motion.
 
-    It runs in a unit of length in which that is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
-    element then serves all that have about the same Stribeck velocity in these. One that has just run is not run again.
+    They run in a unit of length in which the least is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
+    bank then serves all that have about the same Stribeck velocity in these. A bank that has just run is not run again.
     """
-    unit = DISTANCE / distance * RATE / motion.rate
-    code = _compile(law, _nominal(law, rise.velocity * unit), motion.load is not None)
-    nominal = np.array([p.nominal for p in code.model.parameters])
-    values = np.array([1.0 / DISTANCE, rise.ratio, rise.velocity * unit])
+    unit = DISTANCE / float(distances.min()) * RATE / motion.rate
+    lanes = 1 if _takes_steps(law, float(distances.min()), rise, motion.rate) else BANK
+    code = _compile(law, _nominal(law, rise.velocity * unit), motion.load is not None, lanes)
+    # Lanes that are left over run what the last one does.
+    stiffness = distances.min() / np.pad(distances, (0, lanes - len(distances)), mode="edge")
+    scales = np.array([p.nominal for p in code.model.parameters[lanes:]])
+    theta = np.append(stiffness, np.array([rise.ratio, rise.velocity * unit]) / scales)
 
     def run() -> tuple[Array, Array | None]:
         w = np.zeros((len(motion.velocity), 5))
@@ -86,26 +91,30 @@ def run_element(
         if motion.load is not None:
             w[:, 2] = motion.load / LOAD_RATIO
         n = len(w) // motion.steps
-        chi, d = np.empty(n), np.empty((n, 3)) if jacobian else None
-        code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d)
+        chi, d = np.empty((n, lanes)), np.empty((n, lanes, 3)) if jacobian else None
+        code.advance(w, theta, np.zeros(lanes), np.zeros((lanes, len(theta))), chi, d)
+        chi = chi[:, : len(distances)]
         if d is not None:
-            # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
-            d *= np.array([-values[0], 1.0, values[2]]) / nominal
+            # d/d(log D) = -theta d/d(theta); the others in their own units.
+            d = d[:, : len(distances)].copy()
+            d[..., 0] *= -stiffness[: len(distances)]
+            d[..., 1:] *= np.array([1.0, rise.velocity * unit]) / scales
         if motion.load is not None:
             chi, d = _take_load_off(
                 motion.pick_samples(motion.load), motion.pick_samples(motion.velocity), rise, chi, d
             )
-        return motion.to_rows(chi), None if d is None else motion.to_rows(d)
+        return motion.to_rows(chi), None if d is None else motion.to_rows(d.reshape(n, -1))
 
-    # The unit says which distance it is: values alone are those of others at another speed as well.
-    chi, d = motion.runs.get(code, motion.velocity, np.append(values, unit), jacobian, run)
-    return ElementRun(chi, np.empty((motion.rows, 0)) if d is None else d)
+    # The unit says which distances these are: values alone are those of others at another speed as well.
+    chi, d = motion.runs.get(code, motion.velocity, np.append(theta, unit), jacobian, run)
+    slopes = np.empty((motion.rows, len(distances), 0)) if d is None else d.reshape(motion.rows, -1, 3)
+    return [ElementRun(chi[:, k], slopes[:, k]) for k in range(len(distances))]
 
 
 def _take_load_off(
     load: Array, velocity: Array, rise: Stribeck, chi: Array, slopes: Array | None
 ) -> tuple[Array, Array | None]:
-    """Return of a loaded element's force (n) and its slopes (n, 3) the share of the level without the load (n)."""
+    """Return of loaded elements' forces (n, k) and slopes (n, k, 3) the share of the level without the load (n)."""
     bell = np.exp(-((velocity / rise.velocity) ** 2))
     level = 1.0 + rise.ratio * bell
     share = level / (level + load)
@@ -113,22 +122,43 @@ def _take_load_off(
         d_level = np.column_stack(
             (np.zeros_like(bell), bell, 2.0 * rise.ratio * bell * (velocity / rise.velocity) ** 2)
         )
-        slopes = share[:, None] * slopes + d_level * (chi * load / (level + load) ** 2)[:, None]
-    return share * chi, slopes
+        by_level = chi * (load / (level + load) ** 2)[:, None]
+        slopes = share[:, None, None] * slopes + d_level[:, None] * by_level[..., None]
+    return share[:, None] * chi, slopes
 
 
 def run_elements(
     motions: Sequence[ElementMotion], law: Law, distances: Array, rise: Stribeck, *, jacobian: bool = True
 ) -> list[ElementRun]:
     """Elements of these distances (k) along all logs, their rows behind one another."""
+    banks = [(m, of) for m in motions for of in _split(law, distances * m.scale, rise, m.rate)]
+    found = run_parallel(
+        [partial(run_bank, m, law, distances[of] * m.scale, rise, jacobian=jacobian) for m, of in banks]
+    )
+    runs: list[list[ElementRun]] = [[] for _ in distances]
+    for (motion, of), bank in zip(banks, found, strict=True):
+        for k, run in zip(of, bank, strict=True):
+            runs[k].append(ElementRun(motion.scale * run.chi, motion.scale * run.jacobian))
+    return [
+        ElementRun(np.concatenate([run.chi for run in own]), np.concatenate([run.jacobian for run in own]))
+        for own in runs
+    ]
 
-    def run(distance: float) -> ElementRun:
-        runs = [run_element(m, law, distance * m.scale, rise, jacobian=jacobian) for m in motions]
-        pairs = list(zip(motions, runs, strict=True))
-        chi, slopes = [m.scale * r.chi for m, r in pairs], [m.scale * r.jacobian for m, r in pairs]
-        return ElementRun(np.concatenate(chi), np.concatenate(slopes))
 
-    return run_parallel([partial(run, distance) for distance in distances.tolist()])
+def _split(law: Law, distances: Array, rise: Stribeck, rate: float) -> list[list[int]]:
+    """Places of elements that run side by side, neighbours by their distances (k) [m], at a rate [Hz].
+
+    One that takes steps within a sample runs alone, as all of a bank would take as many.
+    """
+    order = np.argsort(distances, kind="stable").tolist()
+    alone = [k for k in order if _takes_steps(law, float(distances[k]), rise, rate)]
+    others = order[len(alone) :]
+    return [[k] for k in alone] + [others[i : i + BANK] for i in range(0, len(others), BANK)]
+
+
+def _takes_steps(law: Law, distance: float, rise: Stribeck, rate: float) -> bool:
+    """Return whether an element may take more than one step in a sample below the gate."""
+    return law == "sgms" and distance * rate * SLOW_STEP < GATE * COARSE * rise.velocity
 
 
 def least_distance(law: Law, rise: Stribeck, rate: float) -> float:
@@ -150,10 +180,10 @@ def _nominal(law: Law, velocity: float) -> float:
     return 1.0 if law == "switching" else COARSE ** math.ceil(math.log(velocity, COARSE))
 
 
-def _compile(law: Law, velocity: float, loaded: bool) -> CompiledModel:
+def _compile(law: Law, velocity: float, loaded: bool, lanes: int) -> CompiledModel:
     """Return the cached value of `_compile_once`, for one thread at a time."""
     with _one_at_a_time:
-        return _compile_once(law, velocity, loaded)
+        return _compile_once(law, velocity, loaded, lanes)
 
 
 def _load_entry() -> dict[str, float | str]:
@@ -166,19 +196,19 @@ def _load_entry() -> dict[str, float | str]:
 
 
 @lru_cache(maxsize=64)
-def _compile_once(law: Law, velocity: float, loaded: bool) -> CompiledModel:
-    """The emitted model of an axis with one element of level 1 and nothing else.
+def _compile_once(law: Law, velocity: float, loaded: bool, lanes: int) -> CompiledModel:
+    """The emitted model of an axis with elements of one level, 1 in all, and nothing else.
 
     One that is loaded carries its own inertia of 1 alone, so that the acceleration is the load.
     """
     content = {
-        "name": "one_element",
+        "name": "elements",
         "plant": {"kind": "rotary", "inertia": 1.0} if loaded else {"mass": 1.0},
         "effects": [_load_entry()] if loaded else [],
         "friction": {
             "law": law,
-            "stiffness": [1.0 / DISTANCE],
-            "fraction": [1.0],
+            "stiffness": [1.0 / (lanes * DISTANCE)] * lanes,
+            "fraction": [1.0 / lanes] * lanes,
             "coulomb": 1.0,
             "stribeck_ratio": RATIO_SCALE,
             "stribeck_velocity": velocity,
@@ -191,4 +221,4 @@ def _compile_once(law: Law, velocity: float, loaded: bool) -> CompiledModel:
         },
         "estimator": {"parameters": ["stiffness", "stribeck_ratio", "stribeck_velocity"]},
     }
-    return CompiledModel(make_machine(content, Path("one_element.toml")))
+    return CompiledModel(make_machine(content, Path("elements.toml")), states=True)
