@@ -352,7 +352,44 @@ static inline sgms_real sgms_sqrt(sgms_real x)
  * digits left leave more than pi/4, and a polynomial at such a place is as large as one likes. */
 static inline sgms_real sgms_reduced(sgms_real f)
 {
+#if SGMS_VECTORS
+    return sgms_select(-(sgms_integer)(f == f), sgms_within(f, SGMS_R(1.0)), f);
+#else
     return f > SGMS_R(1.0) ? SGMS_R(1.0) : f < SGMS_R(-1.0) ? SGMS_R(-1.0) : f;
+#endif
+}
+
+/* sin(f) and cos(f), |f| <= pi/4 */
+static inline sgms_real sgms_sine_near(sgms_real f)
+{
+    const sgms_real f2 = f * f;
+#if SGMS_SINGLE
+    return f + f * f2 * (-1.6666654611e-1f + f2 * (8.3321608736e-3f + f2 * -1.9515295891e-4f));
+#else
+    return f + f * f2 *
+                   (-1.66666666666666324348e-01 +
+                    f2 * (8.33333333332248946124e-03 +
+                          f2 * (-1.98412698298579493134e-04 +
+                                f2 * (2.75573137070700676789e-06 +
+                                      f2 * (-2.50507602534068634195e-08 +
+                                            f2 * 1.58969099521155010221e-10)))));
+#endif
+}
+
+static inline sgms_real sgms_cosine_near(sgms_real f)
+{
+    const sgms_real f2 = f * f;
+#if SGMS_SINGLE
+    return 1.0f + f2 * (-0.5f + f2 * (4.166664568298827e-2f +
+                                      f2 * (-1.388731625493765e-3f + f2 * 2.443315711809948e-5f)));
+#else
+    return 1.0 + f2 * (-0.5 + f2 * (4.16666666666666019037e-02 +
+                                    f2 * (-1.38888888888741095749e-03 +
+                                          f2 * (2.48015872894767294178e-05 +
+                                                f2 * (-2.75573143513906633035e-07 +
+                                                      f2 * (2.08757232129817482790e-09 +
+                                                            f2 * -1.13596475577881948265e-11))))));
+#endif
 }
 
 /* sin(x + quadrant pi/2), argument reduced by multiples of pi/2 in three parts. */
@@ -360,41 +397,23 @@ static inline sgms_real sgms_sine(sgms_real x, int quadrant)
 {
     const sgms_real shifted = x * SGMS_R(0.63661977236758134308) + SGMS_ROUND_MAGIC;
     const sgms_real n = shifted - SGMS_ROUND_MAGIC;
-    const int q = (int)(sgms_bits(shifted) & 3) + quadrant; /* the low bits of `shifted` hold n */
-    sgms_real f, f2, p;
+    /* the low bits of `shifted` hold n */
+    const sgms_integer q = (sgms_bits(shifted) & 3) + quadrant;
 #if SGMS_SINGLE
-    f = sgms_reduced(
+    const sgms_real f = sgms_reduced(
         ((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f);
-    f2 = f * f;
-    if ((q & 1) != 0) {
-        p = 1.0f + f2 * (-0.5f + f2 * (4.166664568298827e-2f +
-                                       f2 * (-1.388731625493765e-3f + f2 * 2.443315711809948e-5f)));
-    } else {
-        p = f + f * f2 * (-1.6666654611e-1f + f2 * (8.3321608736e-3f + f2 * -1.9515295891e-4f));
-    }
 #else
-    f = sgms_reduced(
+    const sgms_real f = sgms_reduced(
         ((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) -
         n * 2.02226624879595063154e-21);
-    f2 = f * f;
-    if ((q & 1) != 0) {
-        p = 1.0 + f2 * (-0.5 + f2 * (4.16666666666666019037e-02 +
-                                     f2 * (-1.38888888888741095749e-03 +
-                                           f2 * (2.48015872894767294178e-05 +
-                                                 f2 * (-2.75573143513906633035e-07 +
-                                                       f2 * (2.08757232129817482790e-09 +
-                                                             f2 * -1.13596475577881948265e-11))))));
-    } else {
-        p = f + f * f2 *
-                    (-1.66666666666666324348e-01 +
-                     f2 * (8.33333333332248946124e-03 +
-                           f2 * (-1.98412698298579493134e-04 +
-                                 f2 * (2.75573137070700676789e-06 +
-                                       f2 * (-2.50507602534068634195e-08 +
-                                             f2 * 1.58969099521155010221e-10)))));
-    }
 #endif
-    return (q & 2) ? -p : p;
+#if SGMS_VECTORS
+    const sgms_real p = sgms_select(-(q & 1), sgms_cosine_near(f), sgms_sine_near(f));
+    return sgms_from_bits(sgms_bits(p) ^ (-((q >> 1) & 1) & ~SGMS_INTEGER_MAX));
+#else
+    const sgms_real p = (q & 1) != 0 ? sgms_cosine_near(f) : sgms_sine_near(f);
+    return (q & 2) != 0 ? -p : p;
+#endif
 }
 
 static inline sgms_real sgms_sin(sgms_real x)

@@ -130,7 +130,7 @@ def test_function_agrees_with_many_digits(function: str, precision: str) -> None
 def test_form_for_vectors_is_the_plain_one_to_the_bit(function: str, precision: str) -> None:
     low, high = LIMITS[function][precision]
     beyond = [low, high, np.nextafter(low, -np.inf), np.nextafter(high, np.inf), -np.inf, np.inf, np.nan, -np.nan]
-    x = np.concatenate((arguments(function, precision), beyond if function == "exp" else []))
+    x = np.concatenate((arguments(function, precision), beyond if function in ("exp", "sin", "cos") else []))
     found, plain = (evaluate(function, precision, x, vectors=form)[1] for form in (True, False))
     np.testing.assert_array_equal(found, plain)
 
@@ -138,13 +138,13 @@ def test_form_for_vectors_is_the_plain_one_to_the_bit(function: str, precision: 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="these are registers of x86-64")
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_loops_over_functions_vectorise(precision: str) -> None:
-    """A branch in the exponential kept every loop over lanes with a Stribeck velocity from it: four times the time."""
+    """A branch in one kept every loop over lanes with a Stribeck velocity, or a force of place, from it."""
     source = PROBES / "runtime_probe.c"
     flags = ["-std=c99", "-O3", "-mavx2", "-ffp-contract=off", "-DSGMS_VECTORS=1"]
     flags += [f"-DSGMS_SINGLE={int(precision == 'single')}", f"-I{runtime_dir()}", "-fopt-info-vec=/dev/stdout"]
     told = run("gcc", flags, "-c", source, "-o", "/dev/null")
     lines = source.read_text().splitlines()
-    for function in ("exp", "exp2_core", "tanh"):
+    for function in ("exp", "exp2_core", "tanh", "sin", "cos"):
         line = lines.index(f"OVER_ARRAYS({function})") + 1
         assert re.search(rf"runtime_probe\.c:{line}:\d+: optimized: loop vectorized", told), function
 
