@@ -78,9 +78,9 @@ def test_a_level_of_a_record_leaves_stiffness_as_it_is(machine: Machine) -> None
     scaled = scale_levels(scale_levels(records, [1.0, 3.0]), [1.0, 1.0])
     assert [m.scale for m in scaled.coarse] == [m.scale for m in scaled.fine] == pytest.approx([0.5, 1.5])
     distance, count = 2e-4, motion.rows
-    (both,) = run_elements(scaled.coarse, "switching", np.array([distance]), NO_RISE)
+    both = run_elements(scaled.coarse, "switching", np.array([distance]), NO_RISE)
     for k, factor in enumerate((0.5, 1.5)):
-        (alone,) = run_elements([motion], "switching", np.array([factor * distance]), NO_RISE)
+        alone = run_elements([motion], "switching", np.array([factor * distance]), NO_RISE)
         part = slice(k * count, (k + 1) * count)
         assert both.chi[part] == pytest.approx(factor * alone.chi)
         assert both.jacobian[part] == pytest.approx(factor * alone.jacobian)

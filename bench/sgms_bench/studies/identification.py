@@ -126,7 +126,7 @@ def true_residual(axis: StudyAxis, explored: Explored) -> Array:
     rise = Stribeck(rise.ratio, friction.stribeck_velocity)
     runs = run_elements(view.motions, friction.law, levels / np.array(friction.stiffness), rise, jacobian=False)
     rows = view.rows
-    model = np.sum([level * run.chi for level, run in zip(levels.tolist(), runs, strict=True)], axis=0)
+    model = runs.chi @ levels
     model += friction.viscous * (rows.velocity + 0.5 * rows.machine.sampling.step * rows.acceleration)
     model += (axis.machine.plant.moved - rows.machine.plant.moved) * rows.acceleration
     residual = rows.friction - model

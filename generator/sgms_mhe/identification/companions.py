@@ -48,7 +48,8 @@ def add_companions(
         The fit, and by the names of effects in it those that explain the records as well, or that the motion does not
         tell from it.
     """
-    left = [term for term in companions if term.name in excited or _has_limit(term.name, excited)]
+    # The motion excites an effect where it excites one of its simpler limits.
+    left = [t for t in companions if not {t.name, *effect_definition(t.name).simpler.causes}.isdisjoint(excited)]
     left += fit_record_terms(views, whole)
     machine = views.fine.rows.machine
     lined, base = align(views, whole), [term for term in base if term.name not in OF_RECORD]
@@ -151,11 +152,6 @@ def is_possible(machine: Machine, fit: AxisFit) -> bool:
         is_within_limits(term, sizes) and effect_definition(term.name).possible(effect_parameters(term, sizes), scales)
         for term, sizes in found
     )
-
-
-def _has_limit(name: str, excited: Collection[str]) -> bool:
-    """Return True if one of an effect's simpler limits is among those that the motion excites."""
-    return any(limit in excited for limit in effect_definition(name).simpler.causes)
 
 
 def fit_level_terms(rows: Recording, fit: AxisFit, sliding: Array | None = None) -> tuple[Term, ...]:

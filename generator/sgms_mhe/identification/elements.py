@@ -62,8 +62,11 @@ NO_RISE: Final = Stribeck(0.0, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
-class ElementRun:
-    """One element of unit level along rows: chi (m), and its derivatives in log D, beta and log v_s (m, 3)."""
+class ElementRuns:
+    """Elements of unit level along rows: chi (m, k), and its derivatives in log D, beta and log v_s (m, k, 3).
+
+    No derivatives where they were not asked for (m, k, 0).
+    """
 
     chi: Array
     jacobian: Array
@@ -71,7 +74,7 @@ class ElementRun:
 
 def run_bank(
     motion: ElementMotion, law: Law, distances: Array, rise: Stribeck, *, jacobian: bool = True
-) -> list[ElementRun]:
+) -> ElementRuns:
     """Elements that break away after `distances` (k, at most BANK) [m], relaxed at first, along a motion.
 
     They run in a unit of length in which the least is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
@@ -107,8 +110,7 @@ def run_bank(
 
     # The unit says which distances these are: values alone are those of others at another speed as well.
     chi, d = motion.runs.get(code, motion.velocity, np.append(theta, unit), jacobian, run)
-    slopes = np.empty((motion.rows, len(distances), 0)) if d is None else d.reshape(motion.rows, -1, 3)
-    return [ElementRun(chi[:, k], slopes[:, k]) for k in range(len(distances))]
+    return ElementRuns(chi, np.empty((*chi.shape, 0)) if d is None else d.reshape(*chi.shape, 3))
 
 
 def _take_load_off(
@@ -129,20 +131,19 @@ def _take_load_off(
 
 def run_elements(
     motions: Sequence[ElementMotion], law: Law, distances: Array, rise: Stribeck, *, jacobian: bool = True
-) -> list[ElementRun]:
+) -> ElementRuns:
     """Elements of these distances (k) along all logs, their rows behind one another."""
-    banks = [(m, of) for m in motions for of in _split(law, distances * m.scale, rise, m.rate)]
-    found = run_parallel(
-        [partial(run_bank, m, law, distances[of] * m.scale, rise, jacobian=jacobian) for m, of in banks]
-    )
-    runs: list[list[ElementRun]] = [[] for _ in distances]
-    for (motion, of), bank in zip(banks, found, strict=True):
-        for k, run in zip(of, bank, strict=True):
-            runs[k].append(ElementRun(motion.scale * run.chi, motion.scale * run.jacobian))
-    return [
-        ElementRun(np.concatenate([run.chi for run in own]), np.concatenate([run.jacobian for run in own]))
-        for own in runs
+    banks = [(i, of) for i, m in enumerate(motions) for of in _split(law, distances * m.scale, rise, m.rate)]
+    tasks = [
+        partial(run_bank, motions[i], law, distances[of] * motions[i].scale, rise, jacobian=jacobian) for i, of in banks
     ]
+    ends = np.cumsum([0, *(motion.rows for motion in motions)])
+    chi = np.empty((ends[-1], len(distances)))
+    slopes = np.empty((*chi.shape, 3 if jacobian else 0))
+    for (i, of), found in zip(banks, run_parallel(tasks), strict=True):
+        rows, scale = slice(ends[i], ends[i + 1]), motions[i].scale
+        chi[rows, of], slopes[rows, of] = scale * found.chi, scale * found.jacobian
+    return ElementRuns(chi, slopes)
 
 
 def _split(law: Law, distances: Array, rise: Stribeck, rate: float) -> list[list[int]]:

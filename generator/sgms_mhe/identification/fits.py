@@ -169,8 +169,7 @@ class _AxisProblem:
         """The model at a shape, its linear part solved for on the rows seen."""
         rise = shape.rise or NO_RISE
         runs = run_elements(self.view.motions, shape.law, shape.distances, rise)
-        elements = np.column_stack([self.columns[:, :0], *(run.chi for run in runs)])
-        count = len(runs)
+        elements, count = runs.chi, len(shape.distances)
         positive = np.concatenate((np.ones(count, dtype=np.bool_), self.positive))
         information = np.concatenate((np.zeros(count), self.information))
         E, (C, y, own, target) = elements.compress(self.seen, axis=0), self._beside
@@ -180,12 +179,11 @@ class _AxisProblem:
         aim[count:] += noise * self.known
         b = solve_nonnegative(gram, aim, positive, information - np.concatenate((np.zeros(count), noise)))
         residual = self.view.rows.friction - elements @ b[:count] - self.columns @ b[count:]
-        nonlinear = [b[k] * run.jacobian[:, 0] for k, run in enumerate(runs)]
-        if shape.rise is not None:
-            nonlinear += [np.sum([b[k] * run.jacobian[:, j] for k, run in enumerate(runs)], axis=0) for j in (1, 2)]
+        slopes = b[:count, None] * runs.jacobian
+        of_rise = slopes[..., 1:].sum(axis=1) if shape.rise is not None else self.columns[:, :0]
         seen = residual[self.seen]
         cost = float(seen @ seen + information @ b**2 - noise @ (self.known + b[count:]) ** 2)
-        bent = np.column_stack((self.columns[:, :0], *nonlinear))
+        bent = np.column_stack((slopes[..., 0], of_rise))
         return _AxisPoint(shape, b[:count], b[count:], residual, bent, elements, gram, cost)
 
     @cached_property
@@ -418,8 +416,7 @@ def friction_change(view: RecordView, fit: AxisFit, motions: Sequence[ElementMot
         other.to_rows(other.pick_samples(other.velocity)) - own.to_rows(own.pick_samples(own.velocity))
         for other, own in zip(motions, view.motions, strict=True)
     ]
-    change = sum((level * run.chi for level, run in zip(fit.levels, runs, strict=True)), -fit.elements @ fit.levels)
-    return np.asarray(change + viscous * np.concatenate(faster))
+    return np.asarray((runs.chi - fit.elements) @ fit.levels + viscous * np.concatenate(faster))
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def align(views: Views, anchor: AxisFit) -> RecordView:
     rows, shape = views.coarse.rows, anchor.shape
     rise = shape.rise or NO_RISE
     coarse = run_elements(views.coarse.motions, shape.law, shape.distances, rise, jacobian=False)
-    change = anchor.elements @ anchor.levels - np.column_stack([run.chi for run in coarse]) @ anchor.levels
+    change = anchor.elements @ anchor.levels - coarse.chi @ anchor.levels
     return replace(views.coarse, rows=replace(rows, friction=rows.friction - change))
 
 

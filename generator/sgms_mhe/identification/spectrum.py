@@ -85,8 +85,7 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
     """Nonnegative least squares over a grid of distances (g) [m]; `noise` [N] weighs the priors of terms."""
     rows = records.rows
     used = rows.used
-    stops = run_elements(records.coarse, "switching", grid, NO_RISE, jacobian=False)
-    chi = np.column_stack([run.chi for run in stops])
+    chi = run_elements(records.coarse, "switching", grid, NO_RISE, jacobian=False).chi
     stop = chi[used]
     columns = np.column_stack([term.columns for term in terms])[used]
     positive = np.concatenate([np.full(term.columns.shape[1], term.positive) for term in terms])

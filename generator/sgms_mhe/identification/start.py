@@ -109,8 +109,7 @@ def _record_terms(records: Records, spectrum: Spectrum) -> tuple[Term, ...]:
     if len(records.names) < 2 or not len(spectrum.distances):
         return ()
     runs = run_elements(records.coarse, "switching", spectrum.distances, spectrum.rise or NO_RISE)
-    pairs = zip(spectrum.levels.tolist(), runs, strict=True)
-    force = np.sum([level * (run.chi + run.jacobian[:, 0]) for level, run in pairs], axis=0)
+    force = (runs.chi + runs.jacobian[..., 0]) @ spectrum.levels
     lengths = [motion.rows for motion in records.coarse]
     return record_terms(records.rows, lengths, force / float(spectrum.levels.sum()))
 
