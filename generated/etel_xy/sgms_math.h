@@ -276,21 +276,26 @@ static inline sgms_real sgms_exp2_core(sgms_real x)
     return sgms_from_bits((sgms_integer)scaled);
 }
 
-/* Where loops around it vectorise without a branch, which would keep them from it. NaN stays one.
- */
 static inline sgms_real sgms_exp(sgms_real x)
+{
+    if (x < SGMS_EXP_LOWEST) {
+        return SGMS_R(0.0);
+    }
+    return sgms_exp_core(x > SGMS_EXP_HIGHEST ? SGMS_EXP_HIGHEST : x);
+}
+
+/* The same, as sgms_lane_sin and sgms_lane_cos are: no branch keeps a loop over lanes from vectors.
+ * Where nothing vectorises branches are cheaper. NaN stays one. */
+static inline sgms_real sgms_lane_exp(sgms_real x)
 {
 #if SGMS_VECTORS
     const sgms_integer is_number = -(sgms_integer)(x == x);
     const sgms_integer is_low = sgms_less(-SGMS_EXP_LOWEST, -x) & is_number;
     const sgms_integer is_high = sgms_less(SGMS_EXP_HIGHEST, x) & is_number;
-    return sgms_select(
-        is_low, SGMS_R(0.0), sgms_exp_core(sgms_select(is_high, SGMS_EXP_HIGHEST, x)));
+    const sgms_real core = sgms_exp_core(sgms_select(is_high, SGMS_EXP_HIGHEST, x));
+    return sgms_select(is_low, SGMS_R(0.0), core);
 #else
-    if (x < SGMS_EXP_LOWEST) {
-        return SGMS_R(0.0);
-    }
-    return sgms_exp_core(x > SGMS_EXP_HIGHEST ? SGMS_EXP_HIGHEST : x);
+    return sgms_exp(x);
 #endif
 }
 
@@ -352,10 +357,17 @@ static inline sgms_real sgms_sqrt(sgms_real x)
  * digits left leave more than pi/4, and a polynomial at such a place is as large as one likes. */
 static inline sgms_real sgms_reduced(sgms_real f)
 {
-#if SGMS_VECTORS
-    return sgms_select(-(sgms_integer)(f == f), sgms_within(f, SGMS_R(1.0)), f);
-#else
     return f > SGMS_R(1.0) ? SGMS_R(1.0) : f < SGMS_R(-1.0) ? SGMS_R(-1.0) : f;
+}
+
+/* x less n pi/2, in three parts */
+static inline sgms_real sgms_rest(sgms_real x, sgms_real n)
+{
+#if SGMS_SINGLE
+    return ((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f;
+#else
+    return ((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) -
+           n * 2.02226624879595063154e-21;
 #endif
 }
 
@@ -392,27 +404,28 @@ static inline sgms_real sgms_cosine_near(sgms_real f)
 #endif
 }
 
-/* sin(x + quadrant pi/2), argument reduced by multiples of pi/2 in three parts. */
+/* sin(x + quadrant pi/2): the low bits of `shifted` hold the multiple of pi/2 that is nearest. */
 static inline sgms_real sgms_sine(sgms_real x, int quadrant)
 {
     const sgms_real shifted = x * SGMS_R(0.63661977236758134308) + SGMS_ROUND_MAGIC;
-    const sgms_real n = shifted - SGMS_ROUND_MAGIC;
-    /* the low bits of `shifted` hold n */
-    const sgms_integer q = (sgms_bits(shifted) & 3) + quadrant;
-#if SGMS_SINGLE
-    const sgms_real f = sgms_reduced(
-        ((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f);
-#else
-    const sgms_real f = sgms_reduced(
-        ((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) -
-        n * 2.02226624879595063154e-21);
-#endif
+    const sgms_real f = sgms_reduced(sgms_rest(x, shifted - SGMS_ROUND_MAGIC));
+    const int q = (int)(sgms_bits(shifted) & 3) + quadrant;
+    const sgms_real p = (q & 1) != 0 ? sgms_cosine_near(f) : sgms_sine_near(f);
+    return (q & 2) != 0 ? -p : p;
+}
+
+static inline sgms_real sgms_lane_sine(sgms_real x, int quadrant)
+{
 #if SGMS_VECTORS
+    const sgms_real shifted = x * SGMS_R(0.63661977236758134308) + SGMS_ROUND_MAGIC;
+    const sgms_real rest = sgms_rest(x, shifted - SGMS_ROUND_MAGIC);
+    const sgms_integer is_number = -(sgms_integer)(rest == rest);
+    const sgms_real f = sgms_select(is_number, sgms_within(rest, SGMS_R(1.0)), rest);
+    const sgms_integer q = (sgms_bits(shifted) & 3) + quadrant;
     const sgms_real p = sgms_select(-(q & 1), sgms_cosine_near(f), sgms_sine_near(f));
     return sgms_from_bits(sgms_bits(p) ^ (-((q >> 1) & 1) & ~SGMS_INTEGER_MAX));
 #else
-    const sgms_real p = (q & 1) != 0 ? sgms_cosine_near(f) : sgms_sine_near(f);
-    return (q & 2) != 0 ? -p : p;
+    return sgms_sine(x, quadrant);
 #endif
 }
 
@@ -424,6 +437,16 @@ static inline sgms_real sgms_sin(sgms_real x)
 static inline sgms_real sgms_cos(sgms_real x)
 {
     return sgms_sine(x, 1);
+}
+
+static inline sgms_real sgms_lane_sin(sgms_real x)
+{
+    return sgms_lane_sine(x, 0);
+}
+
+static inline sgms_real sgms_lane_cos(sgms_real x)
+{
+    return sgms_lane_sine(x, 1);
 }
 
 /* log(x) = e ln 2 + 2 atanh(s), s = (m - 1) / (m + 1), m in [sqrt(1/2), sqrt(2)); |s| <= 0.172 */

@@ -1,7 +1,7 @@
 /* The runtime's static functions under exported names, over arrays. Compiled with -DSGMS_SINGLE=0 or 1.
- * Relies on: sgms_exp, sgms_exp2_core, sgms_tanh, sgms_sin, sgms_cos, sgms_log, sgms_sqrt, sgms_inverse_sqrt,
- * sgms_is_finite; sgms_qr, sgms_qr_add_row, sgms_qr_grow, sgms_back_substitute, sgms_variances, sgms_box,
- * sgms_box_least_squares; sgms_chain, sgms_filter_step, sgms_filter_memory; sgms_floor, sgms_entry. */
+ * Relies on: sgms_exp, sgms_exp2_core, sgms_tanh, sgms_sin, sgms_cos, their forms for lanes, sgms_log, sgms_sqrt,
+ * sgms_inverse_sqrt, sgms_is_finite; sgms_qr, sgms_qr_add_row, sgms_qr_grow, sgms_back_substitute, sgms_variances,
+ * sgms_box, sgms_box_least_squares; sgms_chain, sgms_filter_step, sgms_filter_memory; sgms_floor, sgms_entry. */
 #include "sgms_filter.h"
 #include "sgms_linalg.h"
 #include "sgms_table.h"
@@ -19,6 +19,9 @@ OVER_ARRAYS(exp2_core)
 OVER_ARRAYS(tanh)
 OVER_ARRAYS(sin)
 OVER_ARRAYS(cos)
+OVER_ARRAYS(lane_exp)
+OVER_ARRAYS(lane_sin)
+OVER_ARRAYS(lane_cos)
 OVER_ARRAYS(log)
 OVER_ARRAYS(sqrt)
 OVER_ARRAYS(inverse_sqrt)

@@ -17,6 +17,8 @@ _INFIX = {"add": ("+", _SUM), "sub": ("-", _SUM), "mul": ("*", _PRODUCT), "div":
 _LONGEST_INLINE = 72
 REAL: Final = r"(?:\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)"
 """A number as `CPrinter` prints it in double precision, of a regular expression."""
+_BRANCHING: Final = re.compile(r"\bsgms_(?=(?:exp|sin|cos)\()")
+"""Functions that have a form for loops over lanes."""
 _NUMBER: Final = re.compile(rf"(?<![\w.]){REAL}f?(?![\w.])")
 
 
@@ -247,7 +249,8 @@ class FunctionPrinter:
         targets = [(o.place(k), node) for o in outputs for k, node in enumerate(o.values)]
         nodes = [node for _, node in targets]
         names = {node: f"at->{self._group_input(node)}" for node in walk(nodes) if node.op == "input"}
-        return Function(tuple(self._printer.statements(targets, names, group.names)), operations(nodes))
+        lines = self._printer.statements(targets, names, group.names)
+        return Function(tuple(_BRANCHING.sub("sgms_lane_", line) for line in lines), operations(nodes))
 
     def _group_input(self, node: Node) -> str:
         """Field of a block's input: chi0 -> chi[0], term0 -> velocity, q0 -> q[0], data0 -> data[0]."""

@@ -252,7 +252,7 @@ def _header(path: Path, above: Sequence[str], separator: str, count: int, closed
             break
         if number != stated and not units and _is_unit_row(fields):
             units = tuple("" if field.casefold().rstrip(":") in _LABELS else field for field in fields)
-        elif number == stated or not _is_row_of_types(fields):
+        elif number == stated or len(fields) < 2 or not all(field.upper() in _TYPES for field in fields[1:]):
             return Header(number, tuple(fields), units)
     if stated is not None:
         raise InputError(path, "[log] header_line", stated, f"a line above the rows with {count} names")
@@ -294,11 +294,6 @@ def _is_unit_row(fields: Sequence[str]) -> bool:
     own = fields[1:] if fields and fields[0].casefold().rstrip(":") in _LABELS else fields
     plain = [split_unit(field)[1] for field in own]
     return all(unit in UNITS or unit in _NO_UNIT for unit in plain) and any(unit in UNITS for unit in plain)
-
-
-def _is_row_of_types(fields: Sequence[str]) -> bool:
-    """Return True if a row states the data types of the columns, as controllers export it."""
-    return len(fields) > 1 and all(field.upper() in _TYPES for field in fields[1:])
 
 
 def told_in(line: str, separator: str) -> tuple[Mark | Literal["either"] | None, str]:
