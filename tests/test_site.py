@@ -117,7 +117,7 @@ def test_search_index_holds_terms_and_places(site: Path) -> None:
         "arrival cost": "docs/estimation.html",
         "set_mass": "reference/c.html",
         "held-out": "reference/commands/diagnose.html",
-        "stribeck_velocity": "reference/machine.html",
+        "stribeck_velocity": "reference/machine/friction.html",
         "presliding": "docs/glossary.html",
     }.items():
         found = [entry["location"] for entry in entries if term in entry["text"] + entry["title"]]

@@ -1,44 +1,54 @@
-"""The page of the machine file with every key, from its JSON Schema."""
+"""Pages of the machine file with every key, from its JSON Schema."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any
 
-from markup import table
+from markup import split, table
 from sgms_mhe.configuration import machine_schema
 
 HEAD = """# Machine file, every key
 
-Made from the schema that `sgms-mhe schema` prints. A key that is left out has its default; an unknown one is an error.
-How to write one is in [your own axis](../docs/own_axis.md)."""
-ELSEWHERE = {"Effect": "The parameters of each are on [their own page](effects.md)."}
+One page per table, made from the schema that `sgms-mhe schema` prints. A key that is left out has its default; an
+unknown one is an error. How to write a file is in [your own axis](../docs/own_axis.md)."""
+ELSEWHERE = {"Effect": "The parameters of each are on [their own page](../effects.md)."}
 """Definitions that another page continues."""
+KEYS = ["key", "type", "meaning"]
 
 
 def pages() -> dict[str, str]:
-    """Return the Markdown of all tables of a machine file, by address."""
+    """Return the Markdown of an overview and of every table of a machine file, those within it on its page."""
     schema = machine_schema()
-    return {"reference/machine.md": "\n\n".join([HEAD, *_tables("", schema, schema["$defs"], set())])}
+    texts: dict[str, list[str]] = {}
+    for path, text in list(_tables("", schema, schema["$defs"], set()))[1:]:
+        own = texts.setdefault(path.strip("[]").partition(".")[0], [])
+        own.append(f"{'##' if own else '#'} [{path}]\n\n{text}")
+    keys = schema["properties"]
+    plain = _rows({key: value for key, value in keys.items() if key not in texts})
+    entries = [(name, "\n\n".join(own), keys[name]["description"]) for name, own in texts.items()]
+    return split("reference/machine.md", f"{HEAD}\n\n{table(KEYS, plain)}", ["table", "meaning"], entries)
 
 
-def _tables(path: str, definition: dict[str, Any], known: dict[str, Any], done: set[str]) -> Iterator[str]:
-    """A table of the file, then those within it; one that several keys share comes once."""
-    rows: list[list[str]] = []
+def _rows(keys: dict[str, Any]) -> list[list[str]]:
+    return [[f"`{key}`", _type(value), value.get("description", "")] for key, value in keys.items()]
+
+
+def _tables(path: str, definition: dict[str, Any], known: dict[str, Any], done: set[str]) -> Iterator[tuple[str, str]]:
+    """Path and text of a table of the file, then of those within it; one that several keys share comes once."""
     keys: dict[str, list[str]] = {}  # by the definition that they share
     for key, value in definition["properties"].items():
-        rows.append([f"`{key}`", _type(value), value.get("description", "")])
         for own in _references(value):
             keys.setdefault(own, []).append(f"[{key}]" if value.get("type") == "array" else key)
-    parts = [f"## [{path}]" if path else "## Outside of tables", definition["description"]]
-    yield "\n\n".join([*parts, table(["key", "type", "meaning"], rows)])
+    yield path, f"{definition['description']}\n\n{table(KEYS, _rows(definition['properties']))}"
     for own in [own for own in keys if own not in done]:
         done.add(own)
         first, *others = keys[own]
         name = f"[{first.strip('[]')}]" if first.startswith("[") else f"{path}.{first}".lstrip(".")
-        head, *rest = _tables(name, known[own], known, done)
+        (_, head), *rest = _tables(name, known[own], known, done)
         also = [f"So are {', '.join(f'`{other}`' for other in others)}."] if others else []
-        yield "\n\n".join([head, *also, *([ELSEWHERE[own]] if own in ELSEWHERE else []), *rest])
+        yield name, "\n\n".join([head, *also, *([ELSEWHERE[own]] if own in ELSEWHERE else [])])
+        yield from rest
 
 
 def _references(value: dict[str, Any]) -> Iterator[str]:
