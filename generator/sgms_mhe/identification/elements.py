@@ -96,12 +96,12 @@ def run_bank(
         n = len(w) // motion.steps
         chi, d = np.empty((n, lanes)), np.empty((n, lanes, 3)) if jacobian else None
         code.advance(w, theta, np.zeros(lanes), np.zeros((lanes, len(theta))), chi, d)
-        chi = chi[:, : len(distances)]
         if d is not None:
             # d/d(log D) = -theta d/d(theta); the others in their own units.
-            d = d[:, : len(distances)].copy()
-            d[..., 0] *= -stiffness[: len(distances)]
+            d[..., 0] *= -stiffness
             d[..., 1:] *= np.array([1.0, rise.velocity * unit]) / scales
+            d = d[:, : len(distances)]
+        chi = chi[:, : len(distances)]
         if motion.load is not None:
             chi, d = _take_load_off(
                 motion.pick_samples(motion.load), motion.pick_samples(motion.velocity), rise, chi, d

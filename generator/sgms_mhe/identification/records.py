@@ -40,8 +40,8 @@ MOVING: Final = 0.5
 """Share of the rows in which an axis must move: with fewer its rest is what there is."""
 PATH_RATE: Final = 16000.0
 """Points of a way a second, where samples are fewer [Hz]: of a step the speed that rules a level is the mean."""
-RUNS_CACHED: Final = 64
-"""Runs of elements that a motion keeps: a fit begins where another one ended."""
+RUNS_CACHED: Final = 16
+"""Banks of elements that a motion keeps: a fit begins where another one ended."""
 
 CLEARLY: Final = 2.0
 """Noise of a stretch from which on it is not that of an encoder's steps [theirs]: it scatters by less."""
