@@ -9,10 +9,15 @@ static __thread double sgms_numbers[SGMS_NUMBERS];
 #define SGMS_JOIN2(a, b) a##_##b
 #define SGMS_JOIN(a, b) SGMS_JOIN2(a, b)
 
-#ifdef SGMS_STATES /* the states in place of the force: each knows of ENTERED parameters at most */
+#ifdef SGMS_STATES
 #define FORCES STATES
 #define SLOPES (STATES * ENTERED)
+#else
+#define FORCES 1
+#define SLOPES PARAMETERS
+#endif
 
+/* Force at one sample; d_force = C d_x + D. Or the states, each of which knows of ENTERED parameters at most. */
 static void put_force(
     const sgms_real *x,
     const sgms_real *d_x,
@@ -21,6 +26,7 @@ static void put_force(
     double *force,
     double *d_force)
 {
+#ifdef SGMS_STATES
     (void)signals;
     (void)theta;
     for (int i = 0; i < STATES; i++) {
@@ -29,20 +35,7 @@ static void put_force(
             d_force[i * ENTERED + k] = (double)d_x[i * PARAMETERS + enters[i][k]];
         }
     }
-}
 #else
-#define FORCES 1
-#define SLOPES PARAMETERS
-
-/* Force at one sample; d_force = C d_x + D. */
-static void put_force(
-    const sgms_real *x,
-    const sgms_real *d_x,
-    const double *signals,
-    const sgms_real *theta,
-    double *force,
-    double *d_force)
-{
     sgms_real w[SIGNALS], c[STATES], d[PARAMETERS];
     const model_point at = {.x = x, .w = w, .theta = theta};
     for (int i = 0; i < SIGNALS; i++) {
@@ -56,8 +49,8 @@ static void put_force(
         }
         d_force[p] = (double)sum;
     }
-}
 #endif
+}
 
 /* Terms of the step that ends at `last`, of signals that are constant through it or lines; samples lie one behind the
  * other. */

@@ -213,7 +213,7 @@ def run_element(
 @pytest.mark.parametrize("load", [None, random_load()], ids=["free", "loaded"])
 @pytest.mark.parametrize("law", ["switching", "sgms"])
 def test_elements_side_by_side_are_those_alone(law: Law, load: Array | None) -> None:
-    """Six of them, a full bank and one with lanes to spare; the stiffest smooth ones take many steps and run alone."""
+    """Full banks, and one with lanes to spare; of the smooth ones the stiffest take many steps and run alone."""
     motion, rise = still(random_motion(), load=load), Stribeck(0.3, 1e-3)
     distances = np.array([3e-5, 5e-6, 8e-9, 4e-7, 1e-4, 2e-6, 7e-5, 1e-9])
     together = run_elements([motion], law, distances, rise)

@@ -75,8 +75,9 @@ class ElementRuns:
 def run_bank(
     motion: ElementMotion, law: Law, distances: Array, rise: Stribeck, *, jacobian: bool = True
 ) -> ElementRuns:
-    """Elements that break away after `distances` (k, at most BANK) [m], relaxed at first, along a motion.
+    """Elements that break away after `distances` (k) [m], relaxed at first, along a motion.
 
+    At most BANK of them, and one alone that takes steps within a sample.
     They run in a unit of length in which the least is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
     bank then serves all that have about the same Stribeck velocity in these. A bank that has just run is not run again.
     """
