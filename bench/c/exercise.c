@@ -215,13 +215,16 @@ static void begin_late(void)
     }
 }
 
-/* On and on at a low speed, until all doubt is gone; then an error of the model that seems to have stayed for long. */
+/* On and on at a low speed, until all doubt is gone, then at one that a gate knows from standstill, while every element
+ * slips; then an error of the model that seems to have stayed for long. */
 static void glide(void)
 {
-    const double speed = 0.05 * (double)MAX_VELOCITY;
+    const double speed = 0.05 * (double)MAX_VELOCITY, over_interval = speed / ((double)SAMPLES * (double)SAMPLE_TIME);
     velocity = 0.0;
-    move(speed / ((double)SAMPLES * (double)SAMPLE_TIME), SAMPLES);
+    move(over_interval, SAMPLES);
     move(0.0, 150L * SAMPLES);
+    move(-0.8 * over_interval, SAMPLES);
+    move(0.0, 10L * SAMPLES);
 #if SPREADS
     damage(&by_tasks, SQUARES, 3);
     move(0.0, 2L * SAMPLES);
@@ -434,6 +437,7 @@ static void set_and_hold(void)
     set_number((machine_real)1, (machine_real)1e-20);
     set_number((machine_real)1, none);
     set_number(none, (machine_real)1);
+    set_number((machine_real)0, (machine_real)1); /* a level of zero, where there are no bounds */
     set_number((machine_real)-100, (machine_real)1);
     take_estimate(&by_tasks);
 }
@@ -459,6 +463,28 @@ static void load_sealed(const machine_saved *saved, unsigned word, uint32_t valu
     take_status(CALL(load)(&by_tasks, &changed));
 }
 
+/* The largest and the least deviation of a measurement that the settings take, to some percent. */
+static void find_limits(void)
+{
+    for (int is_large = 0; is_large < 2; is_large++) {
+        double limit = 1.0;
+        for (int k = 8; k >= -4; k--) { /* factors of 2^(2^k) down to 1.04 */
+            machine_settings settings;
+            double factor = k >= 0 ? 2.0 : 1.0 + 1.0 / (double)(1 << -k);
+            int status;
+            for (int i = 0; i < k; i++) {
+                factor *= factor;
+            }
+            factor = is_large ? limit * factor : limit / factor;
+            CALL(settings)(&settings);
+            settings.measurement = (machine_real)factor;
+            status = CALL(init_with)(&by_tick, &settings);
+            take_status(status);
+            limit = status == CONSTANT(REFUSED) ? limit : factor;
+        }
+    }
+}
+
 /* Every number of the settings as none that it may be. */
 static void set_wrong(void)
 {
@@ -474,6 +500,7 @@ static void set_wrong(void)
             take_status(CALL(init_with)(&by_tick, &settings));
         }
     }
+    find_limits();
 }
 
 /* A power cycle, with what was saved, and with what no one saved; other weights. */

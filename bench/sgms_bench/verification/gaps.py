@@ -30,7 +30,7 @@ GUARD: Final = "a guard against what those before it leave no room for"
 
 DAMAGED: Final = "an index that damaged memory alone has out of its range; the proof in bench/c/proof.c holds it"
 NUMBERS: Final = "numbers of IEEE 754 are here; tests/test_package.py has builds and processors without"
-NO_MODEL: Final = "a level of zero where it has no bounds; tests/test_life.py sets it"
+NO_MODEL: Final = "a level of zero, which its bounds leave out: packages without them are asked for one"
 
 GAPS: Final[tuple[Gap, ...]] = (
     Gap("sgms_has_ieee_numbers", r"none|least|unit|rounds|whole", NUMBERS),

@@ -35,7 +35,7 @@ REPLAYED: Final = 300
 """Updates of the log that is replayed."""
 CHECKED: Final = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-ftrivial-auto-var-init=pattern")
 """Accesses, and locals that have no value: they hold a number that no axis can have."""
-FLAGS: Final = ("-std=c99", "-O1", "-ffp-contract=off", "-w")
+FLAGS: Final = ("-std=c99", "-O1", "-ffp-contract=off", "-DSGMS_VECTORS=1", "-w")
 
 
 def check_self_test(mutants: int, seed: int, progress: Progress) -> list[CheckOutcome]:

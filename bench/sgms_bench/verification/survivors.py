@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from sgms_bench.verification.gaps import GUARD, NO_NUMBER, NUMBERS, Gap
+from sgms_bench.verification.gaps import GUARD, NO_MODEL, NO_NUMBER, NUMBERS, Gap
 from sgms_bench.verification.mutants import Mutant
 
 WHEN: Final = "says when work is done, not what comes out; stated work is held by tests/test_stated_work.py"
@@ -74,7 +74,7 @@ SURVIVORS: Final[tuple[Gap, ...]] = (
     Gap(r"add_bits", r"31u \* sum", SUM),
     Gap(r"sum_of|sum_of_lasting", r"add_bits\(.*-> sum = add_bits\(", SUM),
     Gap(
-        r"inner_row|set_factor|friction_ahead|update",
+        r"inner_row|set_factor|friction_ahead|update|NAME_set_origin",
         r"theta.*: (?:parameters -> estimate|estimate -> parameters)$",
         IN_USE,
     ),
@@ -88,6 +88,9 @@ SURVIVORS: Final[tuple[Gap, ...]] = (
     Gap(r"start_signals", r"chain\.position\[[01]\] = 0", OVERWRITTEN),
     Gap(r"sgms_filter_disturbed", r"counts\[2\] = 0;: .*-> ;$", OVERWRITTEN),
     Gap(r"start_with", r"is_plausible\(end\)", NO_NUMBER),
+    Gap(r"update", r"^friction = output_at\(.*-> numeric = all_finite\(&friction", NO_NUMBER),
+    Gap(r"is_model", r"^parameter_terms\(&at\);: .*-> ;$", NO_MODEL),
+    Gap(r"node_row", r"theta\[p\];: \* -> /$", ZERO),
     Gap(r"friction_ahead", r"is_finite\(friction\) \? friction", NO_NUMBER),
     Gap(r"friction_ahead", r"^w\[W_(?:ACCELERATION|FORCE|POSITION|TIME)\]", UNREAD),
     Gap(r"take_colour", r"block\[2\] > 0\.0", GUARD),
