@@ -1313,9 +1313,9 @@ static SGMS_INLINE int take_signals(etel_xy_t *self, const etel_xy_signals *sign
 static void start_series(etel_xy_t *self, sgms_real valid, sgms_real friction)
 {
     const int slot = newest_slot(self);
-    self->interval.started = STARTED;
     self->window.weight[slot] = valid / self->settings.measurement;
     self->window.friction[slot] = valid > 0.0 ? friction - output_apart(self->input.signal) : 0.0;
+    self->interval.started = STARTED;
     self->interval.friction = 0.0;
 }
 

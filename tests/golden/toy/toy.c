@@ -1018,9 +1018,9 @@ static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 static void start_series(toy_t *self, sgms_real valid, sgms_real friction)
 {
     const int slot = newest_slot(self);
-    self->interval.started = STARTED;
     self->window.weight[slot] = valid / self->settings.measurement;
     self->window.friction[slot] = valid > 0.0 ? friction - output_apart(self->input.signal) : 0.0;
+    self->interval.started = STARTED;
     self->interval.friction = 0.0;
 }
 
