@@ -1,4 +1,4 @@
-"""The page of a package's C interface, from its header and the comments in it."""
+"""Pages of a package's C interface, from its header and the comments in it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from textwrap import dedent
+
+from markup import split
 
 HEAD = """# C interface
 
@@ -26,19 +28,23 @@ class Entry:
         return re.findall(rf"^\w[\w *]*\b({name}_\w+)\(", self.declaration, flags=re.MULTILINE)
 
 
-def page(header: str, name: str) -> str:
-    """Markdown of the header of machine `name`."""
+def pages(header: str, name: str) -> dict[str, str]:
+    """Markdown of the header of machine `name`: what it says of all, then functions, then types and constants."""
     banner, *entries = _entries(header)
-    functions = [entry for entry in entries if entry.functions(name)]
-    types = [entry for entry in entries if not entry.functions(name)]
-    parts = [HEAD.format(name=name), "## What it is", *_banner(banner.comment, name), "## Functions"]
-    for entry in functions:
-        parts += ["### " + ", ".join(entry.functions(name)), _code(_prototypes(entry.declaration))]
-        parts += _paragraphs(entry.comment, name)
-    parts.append("## Types and constants")
-    for entry in types:
-        parts += [*_paragraphs(entry.comment, name), _code(_without_memory(entry.declaration, name))]
-    return "\n\n".join(parts)
+    functions, types = ["# Functions in C"], ["# Types and constants in C"]
+    for entry in entries:
+        text = _paragraphs(entry.comment, name)
+        named = entry.functions(name)
+        if named:
+            functions += ["## " + ", ".join(named), _code(_prototypes(entry.declaration)), *text]
+        else:
+            types += [*text, _code(_without_memory(entry.declaration, name))]
+    head = [HEAD.format(name=name), *_banner(banner.comment, name)]
+    parts = [
+        ("functions", "\n\n".join(functions), "every call, from `init` to `estimate`"),
+        ("types", "\n\n".join(types), "what they take and give, statuses"),
+    ]
+    return split("reference/c.md", "\n\n".join(head), ["part", "what it has"], parts)
 
 
 def _entries(header: str) -> Iterator[Entry]:

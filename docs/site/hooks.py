@@ -31,7 +31,7 @@ MADE: Final[tuple[Callable[[], dict[str, str]], ...]] = (
     machine_reference.pages,
     effect_reference.pages,
     python_reference.pages,
-    lambda: {"reference/c.md": c_reference.page((ROOT / "generated/etel_xy/etel_xy.h").read_text("utf-8"), "etel_xy")},
+    lambda: c_reference.pages((ROOT / "generated/etel_xy/etel_xy.h").read_text("utf-8"), "etel_xy"),
 )
 """Writers of the pages that are not in git, by address: an overview first, then its parts."""
 
