@@ -288,7 +288,7 @@ def moved_with_force(speed: float, seed: int, effect: str = "learned_residual") 
 def learn_along(log: Log, axis: Machine) -> Diagnosis:
     """A diagnosis of a log that names nothing, with what its residual teaches."""
     here = prepare(axis, log)
-    simulated = here.reduce(CompiledModel(axis).predict(here.signals).friction_N)
+    simulated = here.reduce(CompiledModel(axis).predict(here.signals))
     learned = learn(here, here.friction - simulated)
     assert learned is not None
     traces = replace(

@@ -162,8 +162,8 @@ def test_the_emitted_model_has_the_table(coordinates: tuple[TableCoordinate, ...
     entry, signals = table_entry(coordinates, coefficients_of(*coordinates)), motion()
     code = {"code": {"precision": precision}}
     machine = with_tables(entry, **code)
-    found = CompiledModel(machine).predict(signals).friction_N
-    without = CompiledModel(override_machine(load_machine("etel_xy"), code)).predict(signals).friction_N
+    found = CompiledModel(machine).predict(signals)
+    without = CompiledModel(override_machine(load_machine("etel_xy"), code)).predict(signals)
     step = machine.sampling.step
     expected = force_of(coordinates, *(along_motion(c, signals, step) for c in coordinates))
     assert np.ptp(expected) > 0.3

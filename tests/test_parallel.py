@@ -278,7 +278,9 @@ def test_machines_of_one_structure_share_code_that_changes_no_bit(settings: str,
         machine = load_machine(settings)
     friction = machine.friction
     numbers = {"coulomb": 1.137 * friction.coulomb, "stiffness": [1.137 * k for k in friction.stiffness]}
-    other = override_machine(machine, {"friction": numbers, "plant": {"mass": 1.23 * machine.plant.mass}})
+    sampling = {"rate": 12500.0, "update_rate": 125.0, "velocity_cutoff": 300.0, "max_velocity": 2.7}
+    changes = {"friction": numbers, "plant": {"mass": 1.23 * machine.plant.mass}, "estimator": {"horizon": 7}}
+    other = override_machine(machine, {**changes, "sampling": sampling})
     shared = [CompiledModel(each) for each in (machine, other)]
     assert len({code.library for code in shared}) == 1
     for each, code in zip((machine, other), shared, strict=True):  # in turns, so that each brings its own numbers

@@ -30,7 +30,7 @@ def speed_study(samples: int) -> CsvTable:
     for name, sampling in samplings.items():
         model = CompiledModel(override_machine(machine, {"sampling": sampling}))
         forces[name] = [
-            model.predict(Signals(flat, flat, peak * shape, flat, flat, flat, flat == 0.0, flat != 0.0)).friction_N
+            model.predict(Signals(flat, flat, peak * shape, flat, flat, flat, flat == 0.0, flat != 0.0))
             for peak in SPEEDS
         ]
     columns = [f"{peak:g} m/s" for peak in SPEEDS]

@@ -25,11 +25,8 @@ def command(machine: Machine, *, json: bool = False) -> None:
 
     with progress_bar(f"check {machine.name}"):
         package = emit_package(machine, within_budget=True)  # what cannot be emitted is refused here
-    show(json_text(_content(machine)) if json else _text(machine, package))
-
-
-def _content(machine: Machine) -> dict[str, Any]:
-    return {"source": str(machine.source), "digest": machine.digest, "machine": machine.as_dict(by_alias=True)}
+    content = {"source": str(machine.source), "digest": machine.digest, "machine": machine.as_dict(by_alias=True)}
+    show(json_text(content) if json else _text(machine, package))
 
 
 def _text(machine: Machine, package: Package) -> str:

@@ -79,7 +79,7 @@ def adopt_tables(found: Diagnosis, log: Log) -> Diagnosis:
 
 def _simulate(machine: Machine, record: Recording) -> float:
     """Return the RMS of measured minus simulated friction of a machine as its file has it [N]."""
-    simulated = CompiledModel(step_every_sample(machine)).predict(record.signals).friction_N
+    simulated = CompiledModel(step_every_sample(machine)).predict(record.signals)
     return record.rms(record.friction - record.reduce(simulated))
 
 

@@ -53,7 +53,7 @@ def measure_residual(machine: Machine, log: Log) -> MachineResidual:
     """
     record = add_encoder(prepare(machine, log), log)
     model = CompiledModel(step_every_sample(machine))
-    simulated = record.reduce(model.predict(record.signals).friction_N)
+    simulated = record.reduce(model.predict(record.signals))
     residual, encoder = record.friction - simulated, record.steps_inertia
     if record.unfiltered is not None:
         unfiltered = _friction_before_chain(model, record, record.unfiltered)
@@ -75,5 +75,5 @@ def measure_residual(machine: Machine, log: Log) -> MachineResidual:
 
 def _friction_before_chain(model: CompiledModel, record: Recording, motion: Array) -> Array:
     """Return a model's friction (m) [N] along a motion before the chain (n, 4), behind the chain."""
-    friction = apply_chain(record.machine, model.predict(record.signals.before_chain(motion)).friction_N)
+    friction = apply_chain(record.machine, model.predict(record.signals.before_chain(motion)))
     return row_means(friction, record.factor)[: len(record.time)]

@@ -69,7 +69,7 @@ class WrittenError:
 def _run(machine: Machine, log: Log) -> tuple[float, float]:
     """Return the RMS of measured minus simulated friction over a log's valid samples, and of the drive force [N]."""
     signals: Signals = signals_of_record(align_velocity(log), machine)
-    residual = signals.friction - CompiledModel(step_every_sample(machine)).predict(signals).friction_N
+    residual = signals.friction - CompiledModel(step_every_sample(machine)).predict(signals)
     rows = np.column_stack((residual, signals.force))[signals.valid]
     error, force = np.sqrt(np.mean(rows**2, axis=0)).tolist()
     return error, force

@@ -116,7 +116,7 @@ def predict_signals(machine: Machine, signals: Signals, source: str = "log") -> 
     if not signals.valid.any():
         allowed = "a row that is valid: the filters settle first, and after every missing sample"
         raise InputError(source, "rows", len(signals), allowed)
-    friction = CompiledModel(step_every_sample(machine)).predict(signals).friction_N
+    friction = CompiledModel(step_every_sample(machine)).predict(signals)
     measured = np.where(signals.valid, signals.friction, np.nan)
     return PredictedFriction(signals.time, measured, friction, signals.force, source, machine.plant.kind)
 

@@ -51,13 +51,6 @@ class ReplayedUpdates:
     compensation: Array
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """The model alone along a motion: `friction_N` (n)."""
-
-    friction_N: Array
-
-
 class CompiledModel:
     """The emitted model of a machine without its estimator: integrator, sensitivities, output.
 
@@ -87,8 +80,8 @@ class CompiledModel:
         self.library = _compile(package, flags, "predict.c")
         self._predict = load_library(self.library).sgms_predict
 
-    def predict(self, signals: Signals, theta: Array | None = None, slopes: Array | None = None) -> Prediction:
-        """Run the model along the signals from relaxed elements on.
+    def predict(self, signals: Signals, theta: Array | None = None, slopes: Array | None = None) -> Array:
+        """Friction [N] (n) by the model alone, along signals from relaxed elements on.
 
         Args:
             signals: n samples.
@@ -107,7 +100,7 @@ class CompiledModel:
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
         friction = np.empty(len(signals))
         self.advance(w, values, np.zeros(n_x), np.zeros((n_x, n_p)), friction, slopes)
-        return Prediction(friction)
+        return friction
 
     def advance(
         self, w: Array, theta: Array, state: Array, sensitivity: Array, force: Array | None, slopes: Array | None

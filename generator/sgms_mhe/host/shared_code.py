@@ -17,10 +17,16 @@ _PLAIN: Final = frozenset((0.0, 0.5, 1.0, 2.0))
 """Numbers of equations more than of a machine: compilers know what to do with them."""
 _UNREAD: Final = re.compile(r" */\*.*?\*/|#define \w+_MACHINE(?:_\d)? [^\n]*", re.DOTALL)
 """Comments, and the digest of the machine file."""
-_ESTIMATOR: Final = re.compile(r"static const sgms_(?:real|chain) [^;]*;")
-"""Numbers that an estimator has besides those of its model."""
+_MEMORY: Final = re.compile(r"struct \{\s+\w+_settings_t settings;.*?\n\}(?= \w+_t;)", re.DOTALL)
+_ESTIMATOR: Final = re.compile(
+    r"static const sgms_(?:real|chain) [^;]*;|#define \w+_SAMPLES [^\n]*| *\bSAMPLES = [^\n]*\n"
+    r"| *\b(?:\w+_)?(?:SLOTS|SERIES_SIZE|SERIES_ROWS|INNER\w*|SPACING|HORIZON|DRIFT_INTERVAL|STEPS|SETTLE) = [^\n]*\n"
+    r"|enum \{[^}]*_COST = [^}]*\};"
+)
+"""What an estimator has besides its model: numbers, and sizes of its memory, which say how a record was sampled."""
 _NUMBERS: Final = re.compile(
-    r"static const sgms_real (?P<name>\w+_constants)\[[^\]]*\](?P<row>\[[^\]]*\]) = (?P<array>[^;]*);"
+    rf"(?P<most>\w+_MOST_SUBSTEPS) = (?P<substeps>\d+),|(?P<defined>#define \w+ )(?P<value>{REAL})(?![\w.])"
+    r"|static const sgms_real (?P<name>\w+_constants)\[[^\]]*\](?P<row>\[[^\]]*\]) = (?P<array>[^;]*);"
     rf"|(?P<table>static const [^;]*;)|(?<![\w.])(?P<real>{REAL})(?![\w.])"
 )
 
@@ -35,22 +41,25 @@ def share_numbers(files: Mapping[str, str], machine: str) -> tuple[dict[str, str
     numbers: list[float] = []
 
     def put(found: re.Match[str]) -> str:
-        first = len(numbers)
+        first, value = len(numbers), found["substeps"] or found["value"] or found["real"]
+        if found["table"] or (found["real"] and float(value) in _PLAIN):
+            return found[0]
         if found["array"]:
             numbers.extend(float(number) for number in re.findall(rf"-?{REAL}", found["array"]))
             return f"#define {found['name']} ((const sgms_real (*){found['row']})(sgms_numbers + {first}))"
-        if found["table"] or float(found[0]) in _PLAIN:
-            return found[0]
-        numbers.append(float(found[0]))
-        return f"sgms_numbers[{first}]"
+        numbers.append(float(value))
+        if found["most"]:
+            return f"\n#define {found['most']} ((int)sgms_numbers[{first}])"
+        return f"{found['defined'] or ''}sgms_numbers[{first}]"
 
     shared = {}
     for name, text in files.items():
         kind = name.removeprefix(machine)
-        if kind in (".h", "_config.h", "_model.h"):
-            text = _ESTIMATOR.sub("", text)
         if kind in (".h", "_config.h", "_model.h", "_integrator.h", "_flow.h"):
-            text = _NUMBERS.sub(put, _UNREAD.sub("", text))
+            text = _UNREAD.sub("", text)
+            if kind not in ("_integrator.h", "_flow.h"):
+                text = _ESTIMATOR.sub("", _MEMORY.sub("void", text))
+            text = _NUMBERS.sub(put, text)
         shared[name] = text
     return shared, np.array(numbers)
 

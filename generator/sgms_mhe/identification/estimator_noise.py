@@ -36,7 +36,7 @@ def measure_noise(machine: Machine, logs: Sequence[Log], followed: Collection[st
     for log in logs:
         signals = signals_of_record(log, machine)
         slopes = np.empty((len(signals), model.model.n_p))
-        rest = (signals.friction - model.predict(signals, slopes=slopes).friction_N)[signals.valid]
+        rest = (signals.friction - model.predict(signals, slopes=slopes))[signals.valid]
         known = np.column_stack([slopes[:, found], *([signals.acceleration] if log.payload else [])])[signals.valid]
         rest = rest - known @ np.linalg.lstsq(known, rest)[0]
         total, count = total + float(rest @ rest), count + len(rest)

@@ -407,7 +407,7 @@ def _rest_states(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX, elements: int) 
     whatever their level hangs on.
     """
     driven = {i for i in range(elements, chi.numel()) if ca.depends_on(rhs[i], w[2:4])}
-    while more := [j for j in range(chi.numel()) if j not in driven and _reads(rhs, driven, chi[j])]:
+    while more := [j for j in range(chi.numel()) if j not in driven and ca.depends_on(rhs[sorted(driven)], chi[j])]:
         driven |= set(more)
     if not any(ca.depends_on(force, chi[i]) for i in driven):
         return force
@@ -417,10 +417,6 @@ def _rest_states(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX, elements: int) 
     slope = ca.jacobian(rate, moved)
     rest = -ca.solve(slope, ca.substitute(rate, moved, ca.SX.zeros(len(order))))
     return ca.substitute(force, moved, rest)
-
-
-def _reads(rhs: ca.SX, states: set[int], symbol: ca.SX) -> bool:
-    return any(ca.depends_on(rhs[i], symbol) for i in states)
 
 
 @dataclass(frozen=True)

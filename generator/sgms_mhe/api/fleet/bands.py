@@ -15,7 +15,6 @@ the limit by Bonferroni over all stretches. Of line and steps the one with the l
 
 import math
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from typing import Final, Literal
 
 import numpy as np
@@ -51,9 +50,11 @@ def courses(results: Sequence[tuple[Row, Result]]) -> tuple[FleetCourse, ...]:
     numbers: dict[tuple[str, str, str], list[tuple[Row, Result, FleetNumber]]] = {}
     for row, result in results:
         for number in result.numbers:
-            numbers.setdefault((_compared_with(row), row.axis, number.name), []).append((row, result, number))
+            # Axes of one machine file are compared with each other; those that name none, with their own past alone.
+            compared_with = row.machine or f"axis {row.axis}"
+            numbers.setdefault((compared_with, row.axis, number.name), []).append((row, result, number))
     for own in numbers.values():
-        own.sort(key=lambda found: _order(found[0]))
+        own.sort(key=lambda found: (found[0].date is None, found[0].date or found[0].number))
     series = []
     for key, own in numbers.items():
         points = tuple(
@@ -140,15 +141,6 @@ def find_steps(values: Array, stated: float) -> list[int]:
     cuts = [int(place) for place in (start[best], end[best]) if place < count]
     parts = zip([0, *cuts], np.split(values, cuts), strict=True)
     return sorted([*cuts, *(first + k for first, part in parts for k in find_steps(part, stated))])
-
-
-def _compared_with(row: Row) -> str:
-    """Axes of one machine file are compared with each other; those that name none, with their own past alone."""
-    return row.machine or f"axis {row.axis}"
-
-
-def _order(row: Row) -> tuple[bool, datetime | int]:
-    return (row.date is None, row.number if row.date is None else row.date)
 
 
 def _band(
