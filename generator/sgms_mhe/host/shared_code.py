@@ -23,7 +23,7 @@ _ESTIMATOR: Final = re.compile(
     r"| *\b(?:\w+_)?(?:SLOTS|SERIES_SIZE|SERIES_ROWS|INNER\w*|SPACING|HORIZON|DRIFT_INTERVAL|STEPS|SETTLE) = [^\n]*\n"
     r"|enum \{[^}]*_COST = [^}]*\};"
 )
-"""What an estimator has besides its model: numbers, and sizes of its memory, which say how a record was sampled."""
+"""Numbers that an estimator has besides its model's, and sizes of its memory, which follow rates and horizon."""
 _NUMBERS: Final = re.compile(
     rf"(?P<most>\w+_MOST_SUBSTEPS) = (?P<substeps>\d+),|(?P<defined>#define \w+ )(?P<value>{REAL})(?![\w.])"
     r"|static const sgms_real (?P<name>\w+_constants)\[[^\]]*\](?P<row>\[[^\]]*\]) = (?P<array>[^;]*);"
