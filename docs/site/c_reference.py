@@ -81,7 +81,7 @@ def _prototypes(declaration: str) -> str:
 
 def _without_memory(declaration: str, name: str) -> str:
     """The axis's memory is not for the application."""
-    whole = re.compile(rf"typedef struct \{{[^{{}}]*\}} {name}_t;")
+    whole = re.compile(rf"typedef struct \{{(?:(?!typedef).)*\n\}} {name}_t;", re.DOTALL)
     return whole.sub(f"typedef struct {{ /* ... */ }} {name}_t;", declaration)
 
 
