@@ -172,7 +172,7 @@ def maximise_evidence(
     for _ in range(steps):
         prior = design.find_prior(rows, size, rough)
         b, factor = _solve(rows, prior)
-        inverse = lapack.dpotri(factor, lower=1, overwrite_c=1)[0].diagonal()
+        inverse = np.square(np.tril(lapack.dtrtri(factor, lower=1, overwrite_c=1)[0])).sum(axis=0)  # diagonal of A^-1
         told = float((1.0 - inverse * prior).sum())
         variance = max(rows.loss(b), WEAK * rows.square) / max(rows.rows - told, 0.1 * rows.rows)
         unsure = tau * variance * (1.0 / prior - inverse)

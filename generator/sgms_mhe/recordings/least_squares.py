@@ -6,7 +6,7 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.optimize import lsq_linear
+from scipy.optimize import lsq_linear, nnls
 
 from sgms_mhe.support.arrays import TINY, Array, Mask
 
@@ -168,5 +168,11 @@ def solve_nonnegative(gram: Array, moment: Array, positive: Mask, information: A
     diagonal = np.diag(gram)
     scale = np.where(diagonal > TINY, 1.0 / np.sqrt(np.maximum(diagonal, TINY)), 0.0)
     A = gram * np.outer(scale, scale) + np.diag(information * scale**2 + COMMON_RIDGE + (scale == 0.0))
-    b = solve_box(A, moment * scale, np.where(positive, 0.0, -np.inf), np.full(len(moment), np.inf))
+    # Free coefficients first: the rest of the triangle is then a problem of its own, |R s - q| of the others alone.
+    order, free = np.argsort(positive, kind="stable"), int(np.sum(~positive))
+    R = np.linalg.cholesky(A[np.ix_(order, order)]).T
+    q = solve_triangular(R, (moment * scale)[order], trans="T")
+    s = nnls(R[free:, free:], q[free:])[0] if free < len(q) else q[free:]  # without a column it ends the process
+    b = np.empty_like(q)
+    b[order] = np.append(solve_triangular(R[:free, :free], q[:free] - R[:free, free:] @ s), s)
     return np.asarray(b * scale)
