@@ -103,25 +103,20 @@ long sgms_replay_run(
     machine *self = memory;
     long updates = 0;
     for (long k = 0; k < series->samples; k++) {
-        machine_real friction;
-        int updated;
-        if (mode == SGMS_REPLAY_TICK) {
-            const int before = self->interval.started ? (int)self->interval.step : -1;
-            friction = CALL(tick)(self, CALL(POSITION_FROM)(series->position[k]), (machine_real)series->force[k]);
-            updated = before >= 0 && self->interval.step == 0 && self->input.count == 0;
-        } else {
-            friction = one_sample(self, series, k);
-            updated = CALL(due)(self);
-            if (updated) {
-                (void)CALL(feedback)(self);
-                CALL(prepare)(self); /* in a controller: by the slower task */
-            }
-        }
+        const machine_real friction = mode == SGMS_REPLAY_TICK ? CALL(tick)(
+                                                                     self, CALL(POSITION_FROM)(series->position[k]),
+                                                                     (machine_real)series->force[k])
+                                                               : one_sample(self, series, k);
         if (compensation) {
             compensation[k] = (double)friction;
         }
-        if (updated) {
+        if (CALL(due)(self)) {
             machine_estimate estimate;
+            (void)CALL(feedback)(
+                self); /* what the next tick() begins with, while the signals are those of the estimate */
+            if (mode != SGMS_REPLAY_TICK) {
+                CALL(prepare)(self); /* in a controller: by the slower task */
+            }
             CALL(estimate)(self, &estimate);
             statuses[updates] = estimate.status;
             write_row(self, rows + updates * COLUMNS);

@@ -96,9 +96,6 @@ static void take_estimate(const machine *axis)
 /* After a sample: the slower task, where it comes in time. */
 static void follow_sample(void)
 {
-    if (CALL(due)(&by_tick) && !is_late) { /* insert() leaves it to the caller */
-        take_status(CALL(feedback)(&by_tick));
-    }
     if (!CALL(due)(&by_tasks)) {
         return;
     }
@@ -116,6 +113,17 @@ static void take_sample(machine_position at, machine_real force)
     fed = (double)given;
     take_number(given);
     take_number(CALL(sample)(&by_tasks, at, force));
+    follow_sample();
+}
+
+/* The same from a chain of the caller's, who looks after the feedback. */
+static void insert_signals(const machine_signals *signals)
+{
+    if (CALL(due)(&by_tick) && !is_late) {
+        take_status(CALL(feedback)(&by_tick));
+    }
+    take_number(CALL(insert)(&by_tick, signals));
+    take_number(CALL(insert)(&by_tasks, signals));
     follow_sample();
 }
 
@@ -334,9 +342,7 @@ static void insert_signals(long count)
         if (k % 200 == 0) {
             CALL(compensate)(&by_tasks, k % 400 == 0);
         }
-        take_number(CALL(insert)(&by_tick, &signals));
-        take_number(CALL(insert)(&by_tasks, &signals));
-        follow_sample();
+        insert_signals(&signals);
     }
     CALL(compensate)(&by_tasks, 1);
 }
@@ -352,9 +358,7 @@ static void insert_none(void)
         signals.position = which == 2 ? (machine_real)4.5e6 : signals.position;
         signals.acceleration = which == 3 ? none : signals.acceleration;
         signals.force = which == 4 ? (machine_real)-2e9 : signals.force;
-        take_number(CALL(insert)(&by_tick, &signals));
-        take_number(CALL(insert)(&by_tasks, &signals));
-        follow_sample();
+        insert_signals(&signals);
     }
 }
 
@@ -553,9 +557,7 @@ static void be_out_of_time(void)
             (machine_real)1,
             1,
             which ? (machine_real)1e12 : (machine_real)-1};
-        take_number(CALL(insert)(&by_tick, &signals));
-        take_number(CALL(insert)(&by_tasks, &signals));
-        follow_sample();
+        insert_signals(&signals);
     }
     is_late = 1;
     move(0.0, 3L * SAMPLES + 2);

@@ -124,8 +124,11 @@ static int calibrate(void)
 
 static int put_estimates(void)
 {
+    static machine next; /* one_task as the next tick() begins, which makes its update */
     int good = put_word(measure(ESTIMATE, do_estimate)) && move(SYS_WRITE, output, &estimate, sizeof estimate);
-    CALL(estimate)(&one_task, &estimate);
+    next = one_task;
+    (void)CALL(feedback)(&next);
+    CALL(estimate)(&next, &estimate);
     return good && move(SYS_WRITE, output, &estimate, sizeof estimate);
 }
 

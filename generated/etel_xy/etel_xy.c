@@ -645,9 +645,16 @@ static void renew_inner(
     }
 }
 
-/* Store the rows of an interval's measurements as a triangle, and use them up. */
-static void keep_inner(etel_xy_t *self, int slot, sgms_real *rows)
+/* Rows of measurements that are complete: no more are taken in there until the next update. */
+static sgms_real *complete_rows(etel_xy_t *self)
 {
+    return self->inner.rows + (1 - (int)(self->inner.side & 1)) * INNER * FACTOR_WIDTH;
+}
+
+/* Store the rows of an interval's measurements as a triangle, and use them up. */
+static void keep_inner(etel_xy_t *self, int slot)
+{
+    sgms_real *const rows = complete_rows(self);
     sgms_real reflector[INNER];
     sgms_real *const kept = self->inner.kept + slot * INNER_SIZE;
 #if SGMS_VECTORS
@@ -910,10 +917,6 @@ static void expand_node(etel_xy_t *self, int back)
 static void start_sweep(etel_xy_t *self)
 {
     const bool is_growing = self->sweep.shifts >= DRIFT_INTERVAL;
-    if (older_intervals(self) > 0) {
-        keep_inner(self, slot_before(self, 1), self->inner.rows +
-            (1 - (int)(self->inner.side & 1)) * INNER * FACTOR_WIDTH);
-    }
     if (self->linearisation.slot >= 0 && self->linearisation.slot < SLOTS) {
         const int ago = newest_slot(self) - (int)self->linearisation.slot,
             back = ago < 0 ? ago + SLOTS : ago;
@@ -949,20 +952,23 @@ static void linearise_step(etel_xy_t *self, int unit)
     w[W_VELOCITY] = kept[0];
     sample_terms(w, term, 1);
     integrate_blocks(term, self->linearisation.blocks);
-    if ((step + 1) % SPACING == 0) {
+    if ((step + 1) % SPACING == 0 && step < STEPS - 1) {
         interval_map map;
-        /* free until the next update */
-        sgms_real *const rows =
-            self->inner.rows + (1 - (int)(self->inner.side & 1)) * INNER * FACTOR_WIDTH;
         const int j = (step + 1) / SPACING - 1;
         blocks_end(&self->parameters, self->linearisation.blocks, start, &map);
-        if (j < INNER) {
-            renew_inner(self, slot * INNER + j, &map, start, rows + j * FACTOR_WIDTH);
-        } else {
-            keep_inner(self, slot, rows);
-            keep_rows(self, slot, &map);
-        }
+        renew_inner(self, slot * INNER + j, &map, start, complete_rows(self) + j * FACTOR_WIDTH);
     }
+}
+
+/* Its end, after the last step. */
+static void linearise_end(etel_xy_t *self)
+{
+    const int slot = sgms_place(self->linearisation.slot, SLOTS - 1);
+    interval_map map;
+    blocks_end(
+        &self->parameters, self->linearisation.blocks, self->window.node + slot * STATES, &map);
+    keep_inner(self, slot);
+    keep_rows(self, slot, &map);
 }
 
 /* Condense the interval `back` before the newest; the last one opens the newest's own. */
@@ -976,8 +982,8 @@ static void condense_node(etel_xy_t *self, int back)
 }
 
 /* Units of the work that does not need the newest sample, in their order: nodes of the last
- * solution to expand, the start of the sweep, steps of the intervals to linearise anew; of each
- * older interval its measurements to fold, its node to condense; then the newest one's
+ * solution to expand, the start of the sweep, steps of the intervals to linearise anew and the end;
+ * of each older interval its measurements to fold, its node to condense; then the newest one's
  * measurements. */
 typedef struct {
     int nodes, steps, condensed;
@@ -988,7 +994,7 @@ static workload workload_of(const etel_xy_t *self)
     const int nodes = older_intervals(self);
     const workload of = {
         nodes,
-        self->linearisation.slot >= 0 && self->linearisation.slot < SLOTS ? STEPS : 0,
+        self->linearisation.slot >= 0 && self->linearisation.slot < SLOTS ? STEPS + 1 : 0,
         sgms_place(self->sweep.back, HORIZON - 1) };
     return of;
 }
@@ -996,26 +1002,26 @@ static workload workload_of(const etel_xy_t *self)
 /* Units done; beyond all that there can be, as damage has it, all are. */
 static int units_done(const etel_xy_t *self)
 {
-    const int most = 3 * HORIZON + STEPS;
+    const int most = 3 * HORIZON + STEPS + 1;
     return self->sweep.cursor >= 0 && self->sweep.cursor < most ? (int)self->sweep.cursor : most;
 }
 
-/* Cost of the next unit, in multiplications or so; 0 when all is done. */
+/* Cost of the next unit, in operations or so; 0 when all is done. */
 static int next_cost(const etel_xy_t *self)
 {
     const workload of = workload_of(self);
     const int at = units_done(self) - of.nodes, swept = at - of.steps - 1;
     if (at < 0) {
-        return EXPAND_COST;
+        return at == -of.nodes ? READINGS_COST : EXPAND_COST;
     }
     if (swept >= 2 * of.condensed) {
         return
             self->inner.folded < self->inner.arrived && self->inner.folded < INNER ? FOLD_COST : 0;
     }
-    if (at > 0 && swept < 0) {
+    if (at > 0 && swept < -1) {
         return STEP_COST;
     }
-    return at > 0 && swept % 2 == 0 ? READINGS_COST : CONDENSE_COST;
+    return at > 0 && swept % 2 != 1 ? READINGS_COST : CONDENSE_COST;
 }
 
 /* Do the next unit. */
@@ -1029,11 +1035,16 @@ static void work(etel_xy_t *self)
         return;
     }
     if (at < 0) {
+        if (done == 0) { /* the newest measurements are complete */
+            keep_inner(self, slot_before(self, 1));
+        }
         expand_node(self, done + 1);
     } else if (at == 0) {
         start_sweep(self);
-    } else if (swept < 0) {
+    } else if (swept < -1) {
         linearise_step(self, at - 1);
+    } else if (swept < 0) {
+        linearise_end(self);
     } else if (swept % 2 == 0) {
         fold_interval(self, slot_before(self, back));
     } else {
@@ -1404,15 +1415,12 @@ etel_xy_real etel_xy_tick(etel_xy_t *self, etel_xy_position position, etel_xy_re
     if (!is_started(self)) {
         return 0.0;
     }
-    take_reading(self, position, force);
-    if (is_complete(self)) {
-        if (etel_xy_feedback(self) == ETEL_XY_OVERLAP) {
-            /* estimate() says so, and the force ramps to zero */
-            state_status(self, ETEL_XY_OVERLAP);
-        }
-        return fed_forward(self);
+    const bool feeds_back = is_complete(self); /* of the sample before, which had its own work */
+    if (feeds_back && etel_xy_feedback(self) == ETEL_XY_OVERLAP) {
+        state_status(self, ETEL_XY_OVERLAP); /* estimate() says so, and the force ramps to zero */
     }
-    if (self->calls.phase == IDLE) { /* otherwise another task prepares */
+    take_reading(self, position, force);
+    if (!feeds_back && self->calls.phase == IDLE) { /* otherwise another task prepares */
         for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left;
             cost = next_cost(self)) {
             work(self);

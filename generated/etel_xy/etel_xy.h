@@ -12,13 +12,15 @@
  *
  *   tick()           11759
  *   sample()          3324   insert() too
- *   prepare()       239622   in units of at most 3645
+ *   prepare()       239622   in units of at most 2361
  *   feedback()       14245   after prepare()
  *   an update       572717   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
- *   one task      etel_xy_tick() at 10000 Hz; it spreads the work over the samples of an interval.
+ *   one task      etel_xy_tick() at 10000 Hz; it spreads the work over the samples of an interval,
+ *                 and the feedback is the next sample's: the estimate is there one sample later
+ *                 than in two tasks. feedback() after a tick(), when due() says so, has it at once.
  *   two tasks     etel_xy_sample() at 10000 Hz in the fast task; when etel_xy_due() says so,
  *                 etel_xy_feedback() right after it; etel_xy_prepare() in a slower task, between
  *                 one feedback and the next.
@@ -411,8 +413,8 @@ int etel_xy_load(etel_xy_t *self, const etel_xy_saved_t *saved);
 void etel_xy_reset(etel_xy_t *self);
 
 /* One sample at 10000 Hz: position, drive force [N]. A sample that is NaN, infinite or beyond 4e6 m
- * or 1e9 N counts as missing. tick() does the whole estimation by itself, in bounded slices;
- * sample() only takes the sample in.
+ * or 1e9 N counts as missing. tick() does the whole estimation by itself, in bounded slices, before
+ * a sample the feedback of the one before; sample() only takes the sample in.
  *
  * Returns the force [N] to add to the drive's command: the friction that the axis will have when
  * the answer to this sample acts. The last estimate is carried through the newest samples, over the

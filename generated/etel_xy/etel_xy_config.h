@@ -8,7 +8,7 @@
  *
  *   tick()           11759
  *   sample()          3324   insert() too
- *   prepare()       239622   in units of at most 3645
+ *   prepare()       239622   in units of at most 2361
  *   feedback()       14245   after prepare()
  *   an update       572717   all calls of an interval
  */
@@ -87,14 +87,14 @@ enum {
 #define VECTOR 2
 #endif
 
-/* Multiplications of a unit of work, and of all units in one sample. */
+/* Operations of a unit of work, and of all units in one sample. */
 enum {
     STEP_COST = 552,
-    COST_PER_SAMPLE = 1104,
-    EXPAND_COST = 128,
-    READINGS_COST = 792,
-    CONDENSE_COST = 768,
-    FOLD_COST = 243
+    COST_PER_SAMPLE = 1481,
+    EXPAND_COST = 122,
+    READINGS_COST = 1406,
+    CONDENSE_COST = 1481,
+    FOLD_COST = 636
 };
 
 #define RATE 10000.0                         /* Hz */

@@ -7,9 +7,9 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           22046
+ *   tick()           13620
  *   sample()         13611   insert() too
- *   prepare()       300842   in units of at most 13214
+ *   prepare()       300842   in units of at most 11941
  *   feedback()       14245   after prepare()
  *   an update       714957   all calls of an interval
  */
@@ -90,14 +90,14 @@ enum {
 #define VECTOR 4
 #endif
 
-/* Multiplications of a unit of work, and of all units in one sample. */
+/* Operations of a unit of work, and of all units in one sample. */
 enum {
     STEP_COST = 1992,
     COST_PER_SAMPLE = 1992,
-    EXPAND_COST = 128,
-    READINGS_COST = 792,
-    CONDENSE_COST = 768,
-    FOLD_COST = 243
+    EXPAND_COST = 122,
+    READINGS_COST = 1406,
+    CONDENSE_COST = 1481,
+    FOLD_COST = 636
 };
 
 #define RATE 10000.0f                        /* Hz */

@@ -114,14 +114,15 @@ static int is_settled(const etel_xy_switching_t *axis)
     return good;
 }
 
-/* True if the axis's estimate, of update number `update`, is the reference's. */
-static int is_expected(
-    const etel_xy_switching_t *axis, const sgms_real *expected, int status, int update)
+/* True if the axis's estimate, of update number `update` and so many samples ago, is the
+ * reference's. */
+static int is_expected(const etel_xy_switching_t *axis, const sgms_real *expected, int status,
+    int update, uint32_t age)
 {
     etel_xy_switching_estimate_t e;
     etel_xy_switching_estimate(axis, &e);
     int good = is_settled(axis) && e.status == status && e.update == (uint32_t)update &&
-        e.age == 0u && e.numeric == 0;
+        e.age == age && e.numeric == 0;
     good = good && is_near(e.friction, expected[SELFTEST_FRICTION],
         SELFTEST_TOLERANCE * SELFTEST_LARGEST);
     good = good && is_near(e.friction_measured, expected[SELFTEST_MEASURED],
@@ -170,12 +171,12 @@ static sgms_real take(etel_xy_switching_t *axis, int way, motion *m,
     return etel_xy_switching_insert(axis, &signals);
 }
 
-/* Take the next sample of a run in; false where an update is due before it, the force is none, or
- * another part of it is on than the ramp has brought. */
+/* Take the next sample of a run in; false where an update is due before it that tick() does not
+ * make, the force is none, or another part of it is on than the ramp has brought. */
 static int take_next(etel_xy_switching_t *axis, int way, motion *m, sgms_real *force)
 {
-    const int is_early = etel_xy_switching_due(axis) == 0 &&
-        etel_xy_switching_feedback(axis) == ETEL_XY_SWITCHING_EARLY;
+    const int is_early = etel_xy_switching_due(axis) == 0
+        ? etel_xy_switching_feedback(axis) == ETEL_XY_SWITCHING_EARLY : way == BY_TICK;
     if (way == BY_SAMPLE) {
         etel_xy_switching_ahead(axis, selftest_set_velocity[(m->sample - 1) / SAMPLES % 2 == 0 ? 1
             : 0], SELFTEST_SET_ACCELERATION);
@@ -330,17 +331,21 @@ static int run_along(etel_xy_switching_t *axis, motion *m, int way)
         const sgms_real *const forces = is_first ? selftest_first_force : way == BY_SAMPLE
             ? selftest_second_force : selftest_second_inserted;
         for (; taken < SAMPLES; taken++) {
-            /* tick() works between updates */
+            /* tick() works between feedbacks */
             good = (!is_first || taken < SAMPLES - 1 || axis->sweep.cursor > 0) && good;
             good = take_next(axis, way, m, &force) && good;
         }
+        good = etel_xy_switching_due(axis) == 1 && good;
         if (!is_first) {
             axis->lasting.intervals = LASTING_BLOCK - 1; /* the block ends here */
-            good = etel_xy_switching_due(axis) == 1 &&
-                etel_xy_switching_feedback(axis) == status && good;
+            good = etel_xy_switching_feedback(axis) == status && good;
             etel_xy_switching_prepare(axis);
+            good = is_expected(axis, expected, status, update, 0u) && good;
         }
-        good = is_expected(axis, expected, status, update) && good;
+        /* of what the update is its force tells; tick() makes it there */
+        good = take_next(axis, way, m, &force) && good;
+        good = (!is_first || is_expected(axis, expected, status, update, 1u)) && good;
+        taken = 1;
         if (is_first && update >= HORIZON) { /* what leaves a full window waits for its drift */
             shifts = shifts % DRIFT_INTERVAL + 1;
             moved = (shifts > 1 ? moved : 0) + ((selftest_first_status[update - HORIZON] &
@@ -348,11 +353,6 @@ static int run_along(etel_xy_switching_t *axis, motion *m, int way)
         }
         good = (!is_first || (axis->sweep.shifts == shifts &&
             axis->sweep.pending_drift == moved)) && good;
-        taken = 0;
-        if (!is_first) { /* of which the next sample's force tells */
-            good = take_next(axis, way, m, &force) && good;
-            taken = 1;
-        }
         if (!good || !is_near(force, forces[update - 1], SELFTEST_AHEAD * SELFTEST_LARGEST)) {
             return update;
         }
@@ -769,7 +769,7 @@ static int status_of(const etel_xy_switching_t *axis)
 static int go_on(etel_xy_switching_t *axis, int way, motion *m, sgms_real *force)
 {
     const int good = go_along(axis, way, m, SAMPLES, force);
-    const int status = way == BY_TICK ? status_of(axis) : etel_xy_switching_feedback(axis);
+    const int status = etel_xy_switching_feedback(axis);
     etel_xy_switching_prepare(axis);
     return good && status == status_of(axis) ? status : ETEL_XY_SWITCHING_EARLY;
 }
@@ -1084,10 +1084,8 @@ static int survives_damage(etel_xy_switching_t *axis, motion *m, int way)
     spoil_means(axis);
     good = go_along(axis, way, m, 1, &force) && good;
     share = sgms_fmax(share, etel_xy_switching_share(axis)); /* it grows, or fades already */
-    if (way != BY_TICK) {
-        good = refuses_damaged_settings(axis) && etel_xy_switching_feedback(axis) ==
-            ETEL_XY_SWITCHING_NUMERIC && good;
-    }
+    good = refuses_damaged_settings(axis) && etel_xy_switching_feedback(axis) ==
+        ETEL_XY_SWITCHING_NUMERIC && good;
     etel_xy_switching_estimate(axis, &after);
     good = good && is_settled(axis) && have_begun(axis) &&
         after.status == ETEL_XY_SWITCHING_NUMERIC && after.numeric == 7 &&
@@ -1100,7 +1098,7 @@ static int survives_damage(etel_xy_switching_t *axis, motion *m, int way)
     }
     good = go_along(axis, way, m, 1, &force) && good && is_fading(axis, share, force);
     good = go_along(axis, way, m, SAMPLES - 1, &force) && good;
-    status = way == BY_TICK ? status_of(axis) : etel_xy_switching_feedback(axis);
+    status = etel_xy_switching_feedback(axis);
     return good && status >= 0 && status_of(axis) == status;
 }
 

@@ -28,6 +28,27 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Costs:
+    """Work in operations: of one unit of each kind, and of the units one sample does at most.
+
+    Attributes:
+        expand: the node of an older interval from its successor's.
+        step: a step of the series of the intervals linearised anew, with as many substeps as most take.
+        readings: those of an older interval into the sweep's factor, or its triangle of them.
+        condense: a node out of that, and the start of the sweep.
+        fold: a measurement inside the newest interval into it.
+        per_sample: of the units in one sample.
+    """
+
+    expand: int
+    step: int
+    readings: int
+    condense: int
+    fold: int
+    per_sample: int
+
+
+@dataclass(frozen=True)
 class Work:
     """Operations at most.
 
@@ -39,6 +60,7 @@ class Work:
             came.
         update: of all calls of one interval.
         command: of drive_force() and drive_command(); 0 without a drive.
+        costs: by which tick() shares an update out.
         largest: share of the group of blocks that takes most of a tick.
     """
 
@@ -49,6 +71,7 @@ class Work:
     feedback: int
     update: int
     command: int
+    costs: Costs
     largest: Part
 
     @property

@@ -14,7 +14,6 @@ from sgms_mhe.emission.compensation import FeedForward, compensation_of
 from sgms_mhe.emission.couplings import Couplings, couplings_of, node_scale
 from sgms_mhe.emission.element_law import RK4, ElementLaw, EmittedFlow, Stage, element_law, flow_of
 from sgms_mhe.emission.groups import GroupView, group_views
-from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, names_read, sizes_of
 from sgms_mhe.emission.structure import Structure
@@ -211,7 +210,6 @@ class PackageView:
     package: Identity
     variant: Variant
     sizes: Sizes
-    schedule: Costs
     signals: SignalView
     weights: EmittedWeights
     couplings: Couplings
@@ -244,7 +242,6 @@ def package_view(structure: Structure) -> PackageView:
         package=Identity(machine.name, machine.description, machine.digest[:12], printer.real),
         variant=variant,
         sizes=sizes,
-        schedule=schedule_of(sizes, variant),
         signals=signals,
         weights=_weights(model, variant),
         couplings=couplings,

@@ -2,49 +2,64 @@
 
 import bisect
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import NamedTuple
 
-from sgms_mhe.emission.sizes import Sizes
-from sgms_mhe.emission.variant import Variant
+from sgms_mhe.emission.budget import Costs
+from sgms_mhe.emission.least_squares_work import LeastSquaresWork
 
 
-@dataclass(frozen=True)
-class Costs:
-    """Work in multiplications or so: of one unit of each kind, and of the units one sample does at most.
+class Unit(NamedTuple):
+    """Unit of prepare(): its cost to the schedule, its operations at most, and whether it is a step of the series."""
 
-    Attributes:
-        expand: the node of an older interval from its successor's.
-        step: a step of the series of the intervals linearised anew.
-        readings: those of an older interval into the sweep's factor.
-        condense: a node out of that.
-        fold: a measurement inside the newest interval into it.
-        per_sample: of the units in one sample.
+    cost: int
+    operations: int
+    is_step: bool = False
+
+
+def units_of(update: LeastSquaresWork, costs: Costs, step: int, condensed: int) -> list[Unit]:
+    """Return the units of prepare() in their order; so many intervals are condensed."""
+    sizes, variant = update.sizes, update.variant
+    nodes = [Unit(costs.expand, update.expand)] * (sizes.slots - 1)
+    if nodes and update.kept:
+        nodes[0] = Unit(costs.readings, update.expand + update.kept)
+    sweep = [Unit(costs.readings, update.readings()), Unit(costs.condense, update.condense)] * condensed
+    if variant.thins and condensed == variant.most_condensed:  # drift enters at the end of what has left the window
+        sweep[1] = Unit(costs.condense, update.condensed + update.drift)
+    return [
+        *nodes,
+        Unit(costs.condense, update.start),
+        *(Unit(costs.step, operations, is_step=True) for operations in update.steps(step)),
+        *[Unit(costs.readings, update.ended)] * bool(update.ended),
+        *sweep,
+        *[Unit(costs.fold, update.folded)] * sizes.inner,
+    ]
+
+
+def schedules_of(update: LeastSquaresWork, most: int) -> list[Costs]:
+    """Share the work of an update out over the samples of an interval but its first.
+
+    Args:
+        update: operations of its units.
+        most: operations of a step of the series at most.
+
+    Returns:
+        With steps as they are in most samples, and as they are at most.
     """
-
-    expand: int
-    step: int
-    readings: int
-    condense: int
-    fold: int
-    per_sample: int
+    sizes, relinearise = update.sizes, update.variant.relinearise
+    reading = sizes.states * (sizes.states + sizes.parameters) * (2 + sizes.states) if sizes.inner else 0
+    usual = sum(g.cost * g.rows * g.n_blocks for g in sizes.groups) + reading
+    return [_schedule(update, step) for step in (usual * (sizes.slots if relinearise == "all" else 1), most)]
 
 
-def schedule_of(sizes: Sizes, variant: Variant) -> Costs:
-    """Share the work of an update out over the samples of an interval but its last."""
-    n_x, n_p, slots, width = sizes.states, sizes.parameters, sizes.slots, sizes.factor_rows + 1
-    intervals = {"all": slots, "auto": 1, "newest": 0}[variant.relinearise]
-    reading = n_x * (n_x + n_p) * (2 + n_x) if sizes.inner else 0
-    expand = 2 * (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
-    fold = 3 * width * width
-    readings = 2 * sizes.factor_rows * width + sizes.inner * sizes.factor_rows * width
-    condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * sizes.factor_rows * width
-    step = (sum(g.cost * g.rows * g.n_blocks for g in sizes.groups) + reading) * max(1, intervals)
-    # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
-    units = [expand] * (slots - 1) + [condense] + [step] * (sizes.steps if intervals else 0)
-    units += [readings, condense] * variant.most_condensed + [fold] * sizes.inner
-    # A sample that completes a merged one has a step of its own to take.
-    samples = sizes.samples - (sizes.steps if variant.merges else 1)
-    return Costs(expand, step, readings, condense, fold, _least_per_sample(units, samples))
+def _schedule(update: LeastSquaresWork, step: int) -> Costs:
+    sizes, variant = update.sizes, update.variant
+    readings = max(update.readings(), update.expand + update.kept, update.ended)
+    costs = Costs(update.expand, step, readings, update.condense, update.folded, 0)
+    units = units_of(update, costs, step, variant.most_condensed)
+    # The first sample has the feedback of the interval before, one that completes a merged one a step of its own.
+    samples = sizes.samples - 1 - (sizes.steps if variant.merges else 0)
+    return replace(costs, per_sample=_least_per_sample([unit.cost for unit in units], samples))
 
 
 def _least_per_sample(units: Sequence[int], samples: int) -> int:

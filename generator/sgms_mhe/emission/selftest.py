@@ -134,8 +134,8 @@ def selftest_vectors(model: Model) -> Vectors:
     second = _run(model, signals.part(slice(0, end)), integrator, other)
     ahead = _set_velocities(machine), machine.friction.coulomb / machine.plant.moved
     tick, sample, insert = (
-        _force_ahead(model, *of, signals, log.position_m, later, lags, ahead if of is second and lags else None)
-        for of, later, lags in ((first, 0, True), (second, 1, True), (second, 1, False))
+        _force_ahead(model, *of, signals, log.position_m, lags, ahead if of is second and lags else None)
+        for of, lags in ((first, True), (second, True), (second, False))
     )
     largest, farthest = round_values(np.array([np.abs(each).max() for each in (first[0].friction_N, first[0].z_m)]))
     return Vectors(
@@ -216,11 +216,10 @@ def _force_ahead(
     record: NodeRecord,
     signals: Signals,
     position_m: Array,
-    later: int,
     lags: bool,
     set_point: tuple[tuple[float, float], float] | None,
 ) -> Array:
-    """Return the force fed forward after each update (u) [N]: the model, moved on over the chain's lag and the delay.
+    """Return the force of the sample after each update (u) [N]: the model, moved on over that, the lag and the delay.
 
     By plain Runge-Kutta steps of the symbolic model, at constant velocity over each of the moves.
 
@@ -230,23 +229,21 @@ def _force_ahead(
         record: of the nodes.
         signals: of all samples.
         position_m: of all samples, as recorded.
-        later: samples after the update, 0 or 1.
         lags: through the machine's own chain, whose lag is made up for.
         set_point: velocities to come, after odd and even updates, and acceleration [m/s, m/s^2]; None: none is set.
     """
     machine, ahead, delay = model.machine, compensation_of(model.machine), model.machine.compensation.delay
     step, samples = machine.sampling.step, machine.sampling.samples_per_update
-    nodes = samples * np.arange(1, record.updates + 1) + later
+    nodes = samples * np.arange(1, record.updates + 1) + 1
     x, theta = found.extra["x"].T, found.extra["theta"].T
     w = signal_array(signals, step, mean=mean_samples(machine))[nodes].T
     filled = Bridge(machine).take(position_m, np.zeros(len(position_m)))[0]
     measured = w[1].copy()
     lag_m = (filled - apply_chain(machine, filled))[nodes] if lags else measured * ahead.lag
     mean = lag_m / ahead.lag
-    over = later * step
-    w[[0, 4]] -= np.array([measured * over, over * np.ones(len(nodes))])
+    w[[0, 4]] -= np.array([measured * step, step * np.ones(len(nodes))])
     w[2] = w[5:] = set_point[1] if set_point else 0.0
-    moves = [(measured * over, over), (lag_m, ahead.lag)] if lags else [(measured * over, over)]
+    moves = [(measured * step, step), (lag_m, ahead.lag)] if lags else [(measured * step, step)]
     if machine.sampling.merged > 1:  # samples that are in no step yet and the lag are one move
         moves = [(sum(distance for distance, _ in moves), sum(duration for _, duration in moves))]
     over_delay, at_end = (

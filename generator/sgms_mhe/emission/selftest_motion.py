@@ -84,7 +84,7 @@ def selftest_motion(machine: Machine, updates: int, settle: int) -> CountedMotio
 
     They grow to 0.8 deflection scales of the softest element, no faster than the axis may be. The friction is that of
     plain Maxwell-slip elements, piecewise linear, so that the estimator has something to learn; for half a stroke it is
-    off. The last interval stands.
+    off. The last interval stands, and the sample after it, with which tick() makes its update.
 
     Args:
         machine: the axis.
@@ -102,7 +102,7 @@ def selftest_motion(machine: Machine, updates: int, settle: int) -> CountedMotio
         length = min(softest * (_FIRST + (_LAST - _FIRST) * min(1.0, stroke / _GROWING) ** 2), fastest)
         acceleration = (-1 if stroke % 2 else 1) * max(1, round(1e12 * length / half**2))
         parts += [(count, sign * acceleration) for sign in (1, -1) for count in _share_samples(half)]
-    parts.append((updates * samples - sum(count for count, _ in parts), 0))
+    parts.append((updates * samples + 1 - sum(count for count, _ in parts), 0))
     counts = np.array([count for count, _ in parts])
     velocity = np.cumsum(np.repeat([acceleration for _, acceleration in parts], counts)) * 1e-12
     ends = np.cumsum(counts) - 1

@@ -25,7 +25,6 @@ from sgms_mhe.support.toolchain import DEFAULT_FLAGS, QUICK_FLAGS, load_library,
 Progress = Callable[[int, int], None]
 """Called with (updates done, updates in all)."""
 
-_MODES = {"tasks": 0, "tick": 1}
 _CHUNK = 20  # updates between two calls of progress
 
 
@@ -205,7 +204,7 @@ class CompiledEstimator:
             done += self.library.sgms_replay_run(
                 memory,
                 ctypes.byref(series),
-                _MODES[mode],
+                int(mode == "tick"),
                 ctypes.c_void_p(rows.ctypes.data + done * rows.itemsize * self._columns),
                 ctypes.c_void_p(status.ctypes.data + done * status.itemsize),
                 ctypes.c_void_p(compensation.ctypes.data + first * compensation.itemsize),

@@ -21,7 +21,6 @@ _MEMORY: Final = re.compile(r"struct \{\s+\w+_settings_t settings;.*?\n\}(?= \w+
 _ESTIMATOR: Final = re.compile(
     r"static const sgms_(?:real|chain) [^;]*;|#define \w+_SAMPLES [^\n]*| *\bSAMPLES = [^\n]*\n"
     r"| *\b(?:\w+_)?(?:SLOTS|SERIES_SIZE|SERIES_ROWS|INNER\w*|SPACING|HORIZON|DRIFT_INTERVAL|STEPS|SETTLE) = [^\n]*\n"
-    r"|enum \{[^}]*_COST = [^}]*\};"
 )
 """Numbers that an estimator has besides its model's, and sizes of its memory, which follow rates and horizon."""
 _NUMBERS: Final = re.compile(

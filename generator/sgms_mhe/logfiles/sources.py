@@ -250,11 +250,11 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
         if named is not None:  # what [log] names is not there: only a log of this package's own takes its place
             found = [candidate for candidate in found if _is_own(candidate, quantity)]
         if len(found) > 1:
-            names = ", ".join(candidate.name for candidate in found)
+            names, headers = ", ".join(candidate.name for candidate in found), {column.header for column in found}
             said = normal_unit(bare.unit) if bare is not None and bare.unit is not None else ""
             line = _line(quantity, found[0].name, said or _stated_unit(found[0], quantity))
             allowed = f"one column; [log] (machine file, --log) says which: {line}"
-            raise InputError(path, f"column {quantity.column}", found[0].header if _same(found) else names, allowed)
+            raise InputError(path, f"column {quantity.column}", names if len(headers) > 1 else found[0].header, allowed)
         if not found:
             if named is None:
                 return None
@@ -271,10 +271,6 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
         return source
     stated = {key: getattr(mapped, key) for key in ("row", "offset", "counts_per", "wrap", "signed")}
     return replace(source, scale=mapped.scale * source.scale, **stated)
-
-
-def _same(columns: Sequence[Column]) -> bool:
-    return len({column.header for column in columns}) == 1
 
 
 def _line(quantity: Quantity, name: str, unit: str = "") -> str:

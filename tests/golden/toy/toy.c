@@ -703,11 +703,11 @@ static workload workload_of(const toy_t *self)
 /* Units done; beyond all that there can be, as damage has it, all are. */
 static int units_done(const toy_t *self)
 {
-    const int most = 3 * HORIZON + STEPS;
+    const int most = 3 * HORIZON + STEPS + 1;
     return self->sweep.cursor >= 0 && self->sweep.cursor < most ? (int)self->sweep.cursor : most;
 }
 
-/* Cost of the next unit, in multiplications or so; 0 when all is done. */
+/* Cost of the next unit, in operations or so; 0 when all is done. */
 static int next_cost(const toy_t *self)
 {
     const workload of = workload_of(self);
@@ -1105,14 +1105,12 @@ toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
     if (!is_started(self)) {
         return 0.0;
     }
-    take_reading(self, position, force);
-    if (is_complete(self)) {
-        if (toy_feedback(self) == TOY_OVERLAP) {
-            state_status(self, TOY_OVERLAP); /* estimate() says so, and the force ramps to zero */
-        }
-        return fed_forward(self);
+    const bool feeds_back = is_complete(self); /* of the sample before, which had its own work */
+    if (feeds_back && toy_feedback(self) == TOY_OVERLAP) {
+        state_status(self, TOY_OVERLAP); /* estimate() says so, and the force ramps to zero */
     }
-    if (self->calls.phase == IDLE) { /* otherwise another task prepares */
+    take_reading(self, position, force);
+    if (!feeds_back && self->calls.phase == IDLE) { /* otherwise another task prepares */
         for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left;
             cost = next_cost(self)) {
             work(self);

@@ -18,7 +18,9 @@
  *
  * Two ways to call it, with the same numbers:
  *
- *   one task      toy_tick() at 1000 Hz; it spreads the work over the samples of an interval.
+ *   one task      toy_tick() at 1000 Hz; it spreads the work over the samples of an interval, and
+ *                 the feedback is the next sample's: the estimate is there one sample later than in
+ *                 two tasks. feedback() after a tick(), when due() says so, has it at once.
  *   two tasks     toy_sample() at 1000 Hz in the fast task; when toy_due() says so, toy_feedback()
  *                 right after it; toy_prepare() in a slower task, between one feedback and the
  *                 next.
@@ -388,8 +390,8 @@ int toy_load(toy_t *self, const toy_saved_t *saved);
 void toy_reset(toy_t *self);
 
 /* One sample at 1000 Hz: position, drive force [N]. A sample that is NaN, infinite or beyond 4e6 m
- * or 1e9 N counts as missing. tick() does the whole estimation by itself, in bounded slices;
- * sample() only takes the sample in.
+ * or 1e9 N counts as missing. tick() does the whole estimation by itself, in bounded slices, before
+ * a sample the feedback of the one before; sample() only takes the sample in.
  *
  * Returns the force [N] to add to the drive's command: the friction that the axis will have when
  * the answer to this sample acts. The last estimate is carried through the newest samples, over the

@@ -86,13 +86,13 @@ enum {
 #define VECTOR 2
 #endif
 
-/* Multiplications of a unit of work, and of all units in one sample. */
+/* Operations of a unit of work, and of all units in one sample. */
 enum {
     STEP_COST = 180,
-    COST_PER_SAMPLE = 360,
-    EXPAND_COST = 6,
-    READINGS_COST = 24,
-    CONDENSE_COST = 54
+    COST_PER_SAMPLE = 421,
+    EXPAND_COST = 7,
+    READINGS_COST = 140,
+    CONDENSE_COST = 234
 };
 
 #define RATE 1000.0                          /* Hz */
