@@ -23,9 +23,11 @@ from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
 from sgms_mhe.host.shared_code import free_numbers
 from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.machine import Machine
+from sgms_mhe.model import build_model
 from sgms_mhe.recordings.recording import RUNS_CACHED, Runs
 from sgms_mhe.reference.lasting import DOUBTED
-from sgms_mhe.signals.chain import Signals
+from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support import toolchain
 from sgms_mhe.support.errors import InputError
@@ -300,12 +302,28 @@ def test_numbers_that_a_caller_sets_are_those_of_a_package_to_the_bit(
     free = CompiledEstimator(plain, Package(plain, files), (*QUICK_FLAGS, "-DSGMS_FREE=2"))
     known = (ctypes.c_double * 2).in_dll(free.library, "sgms_free")
     known[:] = (colour * numbers).tolist()
-    found, expected = free.estimate_log(log), CompiledEstimator(stated).estimate_log(log)
-    np.testing.assert_array_equal(found.parameters, expected.parameters)
-    np.testing.assert_array_equal(found.std, expected.std)
-    np.testing.assert_array_equal(found.status, expected.status)
+    assert_same_estimates(free.estimate_log(log), CompiledEstimator(stated).estimate_log(log))
     known[:] = numbers.tolist()
-    assert not np.array_equal(free.estimate_log(log).std, expected.std)
+    assert_same_estimates(free.estimate_log(log), CompiledEstimator(plain).estimate_log(log))
+
+
+@pytest.mark.parametrize("kind", ["ekf", "mhe"])
+def test_weights_that_a_caller_sets_are_those_of_a_package_to_the_bit(kind: str, machine: Machine, log: Log) -> None:
+    plain = override_machine(machine, {"estimator": {"kind": kind, "relinearise": "newest"}})
+    signals = signals_from_log(log, machine)
+    free, as_stated = CompiledEstimator(plain), CompiledEstimator(plain).estimate(signals)
+    for noise in ({"measurement": 0.37}, {"state": 0.003}, {"parameter_drift": 0.01}):
+        stated = override_machine(plain, {"estimator": {"noise": noise}})
+        found = free.estimate(signals, weights=build_model(stated))
+        assert_same_estimates(found, CompiledEstimator(stated).estimate(signals))
+        with pytest.raises(AssertionError):
+            assert_same_estimates(found, as_stated)
+    assert_same_estimates(free.estimate(signals), as_stated)
+
+
+def assert_same_estimates(found: Estimates, expected: Estimates) -> None:
+    for column in ("parameters", "std", "status"):
+        np.testing.assert_array_equal(getattr(found, column), getattr(expected, column))
 
 
 # --- a whole diagnosis ------------------------------------------------------------------------------------------

@@ -44,7 +44,8 @@ def command(
     if out is not None:
         write_text(out, _toml(tuned, out, log.name, standalone))
     outputs = [] if out is None else [out]
-    common.show(common.json_text(_content(tuned)) if json else _text(tuned, outputs), *outputs)
+    lines = [*(statement.line for statement in tuned.statements), *(f"written: {path}" for path in outputs)]
+    common.show(common.json_text(_content(tuned)) if json else "\n".join(lines), *outputs)
 
 
 def _content(tuned: Tuned) -> dict[str, Any]:
@@ -57,11 +58,6 @@ def _content(tuned: Tuned) -> dict[str, Any]:
         "kept": list(tuned.kept),
         "statements": [statement.to_json() for statement in tuned.statements],
     }
-
-
-def _text(tuned: Tuned, outputs: list[Path]) -> str:
-    lines = [statement.line for statement in tuned.statements]
-    return "\n".join((*lines, *(f"written: {path}" for path in outputs)))
 
 
 def _toml(tuned: Tuned, path: Path, log: str, alone: bool) -> str:

@@ -418,9 +418,6 @@ class LeastSquares:
 
 def diverges(recording: Recording, values: Array) -> bool:
     """Return True if friction [N] along a recording, or its derivatives, have the size of a state that diverged."""
-    return not _largest(values) < UNSTABLE * max(recording.largest_friction, recording.machine.friction.coulomb)
-
-
-def _largest(values: Array) -> float:
-    """The largest magnitude (NaN where there is one); without an array of all of them, which takes longer to fill."""
-    return max(float(values.max()), -float(values.min()))
+    # NaN where there is one; without an array of all magnitudes, which takes longer to fill.
+    largest = max(float(values.max()), -float(values.min()))
+    return not largest < UNSTABLE * max(recording.largest_friction, recording.machine.friction.coulomb)

@@ -23,6 +23,7 @@ import numpy as np
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
+from sgms_mhe.model import build_model
 from sgms_mhe.recordings.output_error import Objective
 from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.innovations import (
@@ -184,6 +185,7 @@ class _WeightSearch:
         self._objective = objective
         self._trials: dict[tuple[tuple[str, float], ...], Trial] = {}
         self._counted: Mask | None = None
+        self._filter: CompiledEstimator | None = None
 
     def value(self, name: str, changes: Mapping[str, float]) -> float:
         """A weight as it is under these changes."""
@@ -231,27 +233,23 @@ class _WeightSearch:
         for name in (*LIMITS, "horizon"):
             # Weights are moved without a window: its loss is another one.
             own = [t for t in self._trials.values() if ("horizon" in t.changes) == (name == "horizon")]
-            by_value: dict[float, Trial] = {}
-            for trial in own:
-                value = self.value(name, trial.changes)
-                if value not in by_value or trial.mean < by_value[value].mean:
-                    by_value[value] = trial
-            found[name] = tuple(sorted(by_value.items()))
+            by_likelihood = sorted(own, key=lambda trial: trial.mean, reverse=True)  # of one value the last one stays
+            found[name] = tuple(sorted({self.value(name, trial.changes): trial for trial in by_likelihood}.items()))
         return found
 
     def _run(self, changes: Mapping[str, float]) -> Trial:
+        window = {"horizon": int(changes["horizon"])} if "horizon" in changes else {"kind": "ekf"}
         noise = {name: value for name, value in changes.items() if name in LIMITS}
-        estimator: dict[str, Any] = {"noise": {**noise, "self_scaling": False}}
-        if "horizon" in changes:
-            estimator["horizon"] = int(changes["horizon"])
-        else:
-            estimator["kind"] = "ekf"
         content = {
-            "estimator": estimator,
+            "estimator": {"noise": {**noise, "self_scaling": False}, **window},
             "code": {"precision": "double"},
             "sampling": {"measurement_rate": self._machine.sampling.update_rate},
         }
-        estimates = CompiledEstimator(override_machine(self._machine, content)).estimate(self._signals)
+        machine = override_machine(self._machine, content)
+        # One filter for all weights.
+        estimator = self._filter if self._filter and "horizon" not in changes else CompiledEstimator(machine)
+        self._filter = self._filter or estimator
+        estimates = estimator.estimate(self._signals, weights=build_model(machine))
         if self._counted is None:  # by the file's own weights, the same for all
             self._counted = moving_updates(estimates)
             if int(self._counted.sum()) < LEAST_UPDATES:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from sgms_mhe.emission.package import Package, write_package
+from sgms_mhe.emission.variant import variant_of
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
 from sgms_mhe.host.shared_code import share_numbers
 from sgms_mhe.machine import Kind, Machine
@@ -163,15 +164,23 @@ class CompiledEstimator:
         """Size of one estimator."""
         return int(self.library.sgms_replay_memory())
 
-    def start(self) -> ctypes.Array[ctypes.c_char]:
-        """Memory of a fresh estimator, for `run`."""
+    def start(self, weights: Model | None = None) -> ctypes.Array[ctypes.c_char]:
+        """Memory of a fresh estimator, for `run`, with noise and drift of another model (of a package of doubles)."""
         memory = ctypes.create_string_buffer(self.memory_bytes + 64)
         self.library.sgms_replay_start(memory)
+        if weights is not None:
+            settings = np.zeros(self.memory_bytes // 8)  # the numbers of NAME_settings_t one after the other
+            self.library[f"{self.machine.name}_settings"](settings.ctypes.data_as(ctypes.c_void_p))
+            noise, n_x, n_p = weights.machine.estimator.noise, self.model.n_x, self.model.n_p
+            settings[: 1 + n_x] = noise.measurement, *weights.state_noise
+            if variant_of(self.model).drifts:
+                settings[1 + n_x + n_p : 1 + n_x + 2 * n_p] = weights.drift
+            self.library[f"{self.machine.name}_init_with"](memory, settings.ctypes.data_as(ctypes.c_void_p))
         return memory
 
-    def estimate(self, signals: Signals, *, progress: Progress | None = None) -> Estimates:
-        """Estimate from aligned signals (the Python signal chain), prepare and feedback."""
-        run = self._run(self.start(), signals, "tasks", progress)
+    def estimate(self, signals: Signals, weights: Model | None = None, progress: Progress | None = None) -> Estimates:
+        """Estimate from aligned signals (the Python signal chain), prepare and feedback; `weights` as of `start`."""
+        run = self._run(self.start(weights), signals, "tasks", progress)
         return self.estimates_of(run, signals.time[self._samples :: self._samples])
 
     def estimate_log(

@@ -22,19 +22,13 @@ TITLES: Final[Mapping[Kind, str]] = {"travel": "memory of the last reversal"}
 
 def learned_titles(learned: Learned) -> list[dict[str, str]]:
     """Return its plots' keys and titles."""
-    return [
-        {"key": f"learned_{k}", "title": f"Learned force over {_title(term)}"}
-        for k, term in enumerate(learned.terms, start=1)
-    ]
+    titles = (" and ".join(TITLES.get(c.kind, c.kind) for c in term.coordinates) for term in learned.terms)
+    return [{"key": f"learned_{k}", "title": f"Learned force over {title}"} for k, title in enumerate(titles, start=1)]
 
 
 def learned_plots(learned: Learned) -> dict[str, Any]:
     """Return the data of its plots: each term over its first coordinate, at three values of its second."""
     return {f"learned_{k}": _plot(term) for k, term in enumerate(learned.terms, start=1)}
-
-
-def _title(term: LearnedTerm) -> str:
-    return " and ".join(TITLES.get(c.kind, c.kind) for c in term.coordinates)
 
 
 def _plot(term: LearnedTerm) -> dict[str, Any]:
