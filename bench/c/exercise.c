@@ -117,7 +117,7 @@ static void take_sample(machine_position at, machine_real force)
 }
 
 /* The same from a chain of the caller's, who looks after the feedback. */
-static void insert_signals(const machine_signals *signals)
+static void insert_both(const machine_signals *signals)
 {
     if (CALL(due)(&by_tick) && !is_late) {
         take_status(CALL(feedback)(&by_tick));
@@ -342,7 +342,7 @@ static void insert_signals(long count)
         if (k % 200 == 0) {
             CALL(compensate)(&by_tasks, k % 400 == 0);
         }
-        insert_signals(&signals);
+        insert_both(&signals);
     }
     CALL(compensate)(&by_tasks, 1);
 }
@@ -358,7 +358,7 @@ static void insert_none(void)
         signals.position = which == 2 ? (machine_real)4.5e6 : signals.position;
         signals.acceleration = which == 3 ? none : signals.acceleration;
         signals.force = which == 4 ? (machine_real)-2e9 : signals.force;
-        insert_signals(&signals);
+        insert_both(&signals);
     }
 }
 
@@ -557,7 +557,7 @@ static void be_out_of_time(void)
             (machine_real)1,
             1,
             which ? (machine_real)1e12 : (machine_real)-1};
-        insert_signals(&signals);
+        insert_both(&signals);
     }
     is_late = 1;
     move(0.0, 3L * SAMPLES + 2);
