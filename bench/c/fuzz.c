@@ -322,6 +322,9 @@ static void check_tasks(bytes *from, unsigned fill)
             sample_by(one, 0, position, force);
             sample_by(two, 1, position, force);
         }
+        if (CALL(due)(one)) { /* what its next tick() begins with */
+            (void)check_status(CALL(feedback)(one));
+        }
         check_same(one, two, "one task and two differ");
     }
     free(one);
