@@ -56,6 +56,11 @@ TABLE: dict[str, Any] = {
     "force_N": [0.05 * ((7 * k) % 11 - 5) for k in range(35)],
 }
 
+EQUAL: dict[str, Any] = {
+    "friction": {"stiffness": [4e4] * 4, "fraction": [0.25] * 4},
+    "sampling": scheme("flow", slow_displacement=0.0005),
+}
+"""Below the gate all take the same number of steps, side by side where they are as fast."""
 MHE_CASES: dict[str, dict[str, Any]] = {
     "default": {},
     # elements
@@ -102,6 +107,9 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "merged rk4": {"sampling": scheme("rk4", substeps=25)},
     "five merged": {"sampling": scheme("flow", substeps=20)},
     "many steps below the gate": {"sampling": scheme("flow", slow_displacement=0.003)},
+    "equal elements": EQUAL,
+    "equal elements, all": EQUAL | {"estimator": {"relinearise": "all"}},
+    "equal elements, five merged": EQUAL | {"sampling": scheme("flow", substeps=20, slow_displacement=0.0005)},
     "ten merged": {"sampling": scheme("flow", substeps=10, slow_displacement=0.03)},
     "all merged": {"sampling": scheme("flow", substeps=1)},
     "five merged, stiffness, coulomb": {

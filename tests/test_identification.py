@@ -213,17 +213,20 @@ def run_element(
 @pytest.mark.parametrize("load", [None, random_load()], ids=["free", "loaded"])
 @pytest.mark.parametrize("law", ["switching", "sgms"])
 def test_elements_side_by_side_are_those_alone(law: Law, load: Array | None) -> None:
-    """Full banks, and one with lanes to spare; of the smooth ones the stiffest take many steps and run alone."""
+    """Full banks, and one with lanes to spare. Smooth ones take the stiffest one's steps: none is less exact for it."""
     motion, rise = still(random_motion(), load=load), Stribeck(0.3, 1e-3)
     distances = np.array([3e-5, 5e-6, 8e-9, 4e-7, 1e-4, 2e-6, 7e-5, 1e-9])
     together = run_elements([motion], law, distances, rise)
-    tolerance = 1e-12 if law == "switching" else 2e-5
+    tolerance = 1e-12 if law == "switching" else 4.1e-5  # of the longest steps
     for k, distance in enumerate(distances.tolist()):
         alone = run_element(motion, law, distance, rise)
         assert np.max(np.abs(together.chi[:, k] - alone.chi)) < tolerance
         scale = np.abs(alone.jacobian).max(axis=0)
         apart = np.abs(together.jacobian[:, k] - alone.jacobian).max(axis=0)
         assert np.all(apart < 100.0 * tolerance * np.maximum(scale, 1.0))
+        exact = run_bank(motion, law, np.array([distance / 8.0, distance]), rise).chi[:, 1]
+        off, alone_off = (np.max(np.abs(chi - exact)) for chi in (together.chi[:, k], alone.chi))
+        assert off <= alone_off + 1e-8
 
 
 @pytest.mark.parametrize("load", [None, random_load()], ids=["free", "loaded"])

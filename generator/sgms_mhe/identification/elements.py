@@ -34,7 +34,7 @@ COARSE: Final = 2.0
 """Factor between the Stribeck velocities that elements are compiled for: few serve all fits."""
 DISTANCE: Final = 1e-9
 SLOW_STEP: Final = 0.05
-"""Longest step of smooth elements below the gate, in break-away distances: off by 2e-5 of a level at most."""
+"""Longest step of smooth elements below the gate, in break-away distances: off by 4e-5 of a level at most."""
 MOST_STEPS: Final = 100
 """Such steps in one sample, at most: more would be spent on what a row cannot tell from less."""
 GATE: Final = 0.36
@@ -77,16 +77,15 @@ def run_bank(
 ) -> ElementRuns:
     """Elements that break away after `distances` (k) [m], relaxed at first, along a motion.
 
-    At most BANK of them, and one alone that takes steps within a sample.
+    At most BANK of them, in as many steps of a sample as the least asks for.
     They run in a unit of length in which the least is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
     bank then serves all that have about the same Stribeck velocity in these. A bank that has just run is not run again.
     """
     unit = DISTANCE / float(distances.min()) * RATE / motion.rate
-    lanes = 1 if _takes_steps(law, float(distances.min()), rise, motion.rate) else BANK
-    code = _compile(law, _nominal(law, rise.velocity * unit), motion.load is not None, lanes)
+    code = _compile(law, _nominal(law, rise.velocity * unit), motion.load is not None)
     # Lanes that are left over run what the last one does.
-    stiffness = distances.min() / np.pad(distances, (0, lanes - len(distances)), mode="edge")
-    scales = np.array([p.nominal for p in code.model.parameters[lanes:]])
+    stiffness = distances.min() / np.pad(distances, (0, BANK - len(distances)), mode="edge")
+    scales = np.array([p.nominal for p in code.model.parameters[BANK:]])
     theta = np.append(stiffness, np.array([rise.ratio, rise.velocity * unit]) / scales)
 
     def run() -> tuple[Array, Array | None]:
@@ -95,8 +94,8 @@ def run_bank(
         if motion.load is not None:
             w[:, 2] = motion.load / LOAD_RATIO
         n = len(w) // motion.steps
-        chi, d = np.empty((n, lanes)), np.empty((n, lanes, 3)) if jacobian else None
-        code.advance(w, theta, np.zeros(lanes), np.zeros((lanes, len(theta))), chi, d)
+        chi, d = np.empty((n, BANK)), np.empty((n, BANK, 3)) if jacobian else None
+        code.advance(w, theta, np.zeros(BANK), np.zeros((BANK, len(theta))), chi, d)
         if d is not None:
             # d/d(log D) = -theta d/d(theta); the others in their own units.
             d[..., 0] *= -stiffness
@@ -134,7 +133,9 @@ def run_elements(
     motions: Sequence[ElementMotion], law: Law, distances: Array, rise: Stribeck, *, jacobian: bool = True
 ) -> ElementRuns:
     """Elements of these distances (k) along all logs, their rows behind one another."""
-    banks = [(i, of) for i, m in enumerate(motions) for of in _split(law, distances * m.scale, rise, m.rate)]
+    # Neighbours run side by side: they ask for about as many steps.
+    order = np.argsort(distances, kind="stable").tolist()
+    banks = [(i, order[k : k + BANK]) for i in range(len(motions)) for k in range(0, len(order), BANK)]
     tasks = [
         partial(run_bank, motions[i], law, distances[of] * motions[i].scale, rise, jacobian=jacobian) for i, of in banks
     ]
@@ -145,22 +146,6 @@ def run_elements(
         rows, scale = slice(ends[i], ends[i + 1]), motions[i].scale
         chi[rows, of], slopes[rows, of] = scale * found.chi, scale * found.jacobian
     return ElementRuns(chi, slopes)
-
-
-def _split(law: Law, distances: Array, rise: Stribeck, rate: float) -> list[list[int]]:
-    """Places of elements that run side by side, neighbours by their distances (k) [m], at a rate [Hz].
-
-    One that takes steps within a sample runs alone, as all of a bank would take as many.
-    """
-    order = np.argsort(distances, kind="stable").tolist()
-    alone = [k for k in order if _takes_steps(law, float(distances[k]), rise, rate)]
-    others = order[len(alone) :]
-    return [[k] for k in alone] + [others[i : i + BANK] for i in range(0, len(others), BANK)]
-
-
-def _takes_steps(law: Law, distance: float, rise: Stribeck, rate: float) -> bool:
-    """Return whether an element may take more than one step in a sample below the gate."""
-    return law == "sgms" and distance * rate * SLOW_STEP < GATE * COARSE * rise.velocity
 
 
 def least_distance(law: Law, rise: Stribeck, rate: float) -> float:
@@ -182,10 +167,10 @@ def _nominal(law: Law, velocity: float) -> float:
     return 1.0 if law == "switching" else COARSE ** math.ceil(math.log(velocity, COARSE))
 
 
-def _compile(law: Law, velocity: float, loaded: bool, lanes: int) -> CompiledModel:
+def _compile(law: Law, velocity: float, loaded: bool) -> CompiledModel:
     """Return the cached value of `_compile_once`, for one thread at a time."""
     with _one_at_a_time:
-        return _compile_once(law, velocity, loaded, lanes)
+        return _compile_once(law, velocity, loaded)
 
 
 def _load_entry() -> dict[str, float | str]:
@@ -198,7 +183,7 @@ def _load_entry() -> dict[str, float | str]:
 
 
 @lru_cache(maxsize=64)
-def _compile_once(law: Law, velocity: float, loaded: bool, lanes: int) -> CompiledModel:
+def _compile_once(law: Law, velocity: float, loaded: bool) -> CompiledModel:
     """The emitted model of an axis with elements of one level, 1 in all, and nothing else.
 
     One that is loaded carries its own inertia of 1 alone, so that the acceleration is the load.
@@ -209,8 +194,8 @@ def _compile_once(law: Law, velocity: float, loaded: bool, lanes: int) -> Compil
         "effects": [_load_entry()] if loaded else [],
         "friction": {
             "law": law,
-            "stiffness": [1.0 / (lanes * DISTANCE)] * lanes,
-            "fraction": [1.0 / lanes] * lanes,
+            "stiffness": [1.0 / (BANK * DISTANCE)] * BANK,
+            "fraction": [1.0 / BANK] * BANK,
             "coulomb": 1.0,
             "stribeck_ratio": RATIO_SCALE,
             "stribeck_velocity": velocity,
