@@ -224,9 +224,10 @@ def test_elements_side_by_side_are_those_alone(law: Law, load: Array | None) -> 
         scale = np.abs(alone.jacobian).max(axis=0)
         apart = np.abs(together.jacobian[:, k] - alone.jacobian).max(axis=0)
         assert np.all(apart < 100.0 * tolerance * np.maximum(scale, 1.0))
-        exact = run_bank(motion, law, np.array([distance / 8.0, distance]), rise).chi[:, 1]
-        off, alone_off = (np.max(np.abs(chi - exact)) for chi in (together.chi[:, k], alone.chi))
-        assert off <= alone_off + 1e-8
+        if distance > 1e-8:  # the stiffest ones take many steps anyway
+            exact = run_bank(motion, law, np.array([distance / 8.0, distance]), rise).chi[:, 1]
+            off, alone_off = (np.max(np.abs(chi - exact)) for chi in (together.chi[:, k], alone.chi))
+            assert off <= alone_off + 1e-8
 
 
 @pytest.mark.parametrize("load", [None, random_load()], ids=["free", "loaded"])
