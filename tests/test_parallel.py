@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
 from sgms_mhe.host.shared_code import free_numbers
 from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.machine import Machine
-from sgms_mhe.model import build_model
+from sgms_mhe.model import Model, build_model
 from sgms_mhe.recordings.recording import RUNS_CACHED, Runs
 from sgms_mhe.reference.lasting import DOUBTED
 from sgms_mhe.signals.chain import Signals, signals_from_log
@@ -319,6 +320,10 @@ def test_weights_that_a_caller_sets_are_those_of_a_package_to_the_bit(kind: str,
         with pytest.raises(AssertionError):
             assert_same_estimates(found, as_stated)
     assert_same_estimates(free.estimate(signals), as_stated)
+    model = build_model(plain)
+    none = SimpleNamespace(machine=plain, state_noise=0.0 * model.state_noise, drift=model.drift)
+    with pytest.raises(ValueError, match="refuses the weights"):
+        free.estimate(signals, weights=cast(Model, none))
 
 
 def assert_same_estimates(found: Estimates, expected: Estimates) -> None:

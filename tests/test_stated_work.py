@@ -46,7 +46,7 @@ SHAPES = (
 """Variants whose work differs in kind."""
 LONG = ("every effect, single", "effects: upstream, newest, rk4", "effects: upstream")
 MOST_OVER_COUNTED = {"sample": 2.1, "unit": 2.0, "prepare": 2.2, "update": 3.3, "tick": 2.6, "feedback": 1.2}
-"""Stated over counted, without the search over all bounds, which no motion asks for."""
+"""Stated over counted, less the search over all bounds, which no motion asks for."""
 
 
 def stated(package: Package) -> dict[str, int]:
@@ -135,8 +135,8 @@ def counted(settings: Machine, counter: Counter) -> dict[str, int]:
     return {call: max(most[call] for most in found) for call in found[0]}
 
 
-def without_search(said: dict[str, int], settings: Machine) -> dict[str, int]:
-    """What is stated, without what a search over bounds takes of it."""
+def subtract_search(said: dict[str, int], settings: Machine) -> dict[str, int]:
+    """Return the stated operations less those of a search over bounds."""
     model = build_model(settings)
     search = box_least_squares(model.n_p) if variant_of(model).bounded else 0
     return {call: most - search * (call in {"tick", "feedback", "update"}) for call, most in said.items()}
@@ -148,7 +148,7 @@ def test_stated_work_of_a_machine_holds_and_is_not_far_off(name: str, require_to
     package = emit_package(settings, selftest=False, within_budget=True)
     most, said = counted(settings, Counter(package, require_tool, tmp_path)), stated(package)
     assert all(most[call] <= said[call] for call in said), (most, said)
-    of_motion = without_search(said, settings)
+    of_motion = subtract_search(said, settings)
     assert all(of_motion[call] <= limit * most[call] for call, limit in MOST_OVER_COUNTED.items()), (most, said)
 
 
@@ -161,7 +161,7 @@ def test_stated_work_holds(title: str, require_tool: Tool, tmp_path: Path) -> No
     package = emit_package(settings, selftest=False)
     most, said = counted(settings, Counter(package, require_tool, tmp_path)), stated(package)
     assert all(most[call] <= said[call] for call in said), (most, said)
-    of_motion = without_search(said, settings)
+    of_motion = subtract_search(said, settings)
     assert all(of_motion[call] <= MOST_OVER_COUNTED[call] * most[call] for call in ("tick", "feedback")), (most, said)
     assert said.get("command", 0) <= 1.6 * most.get("command", 0), (most, said)
 

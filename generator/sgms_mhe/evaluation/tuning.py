@@ -185,7 +185,7 @@ class _WeightSearch:
         self._objective = objective
         self._trials: dict[tuple[tuple[str, float], ...], Trial] = {}
         self._counted: Mask | None = None
-        self._filter: CompiledEstimator | None = None
+        self._estimators: dict[float | None, CompiledEstimator] = {}  # by horizon; None: the filter
 
     def value(self, name: str, changes: Mapping[str, float]) -> float:
         """A weight as it is under these changes."""
@@ -246,10 +246,10 @@ class _WeightSearch:
             "sampling": {"measurement_rate": self._machine.sampling.update_rate},
         }
         machine = override_machine(self._machine, content)
-        # One filter for all weights.
-        estimator = self._filter if self._filter and "horizon" not in changes else CompiledEstimator(machine)
-        self._filter = self._filter or estimator
-        estimates = estimator.estimate(self._signals, weights=build_model(machine))
+        horizon = changes.get("horizon")
+        if horizon not in self._estimators:  # one for all weights
+            self._estimators[horizon] = CompiledEstimator(machine)
+        estimates = self._estimators[horizon].estimate(self._signals, weights=build_model(machine))
         if self._counted is None:  # by the file's own weights, the same for all
             self._counted = moving_updates(estimates)
             if int(self._counted.sum()) < LEAST_UPDATES:

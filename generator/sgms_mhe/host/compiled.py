@@ -165,17 +165,23 @@ class CompiledEstimator:
         return int(self.library.sgms_replay_memory())
 
     def start(self, weights: Model | None = None) -> ctypes.Array[ctypes.c_char]:
-        """Memory of a fresh estimator, for `run`, with noise and drift of another model (of a package of doubles)."""
+        """Memory of a fresh estimator, for `run`, with noise and drift of another model (of a package of doubles).
+
+        Raises:
+            ValueError: the package refuses these weights.
+        """
         memory = ctypes.create_string_buffer(self.memory_bytes + 64)
         self.library.sgms_replay_start(memory)
         if weights is not None:
             settings = np.zeros(self.memory_bytes // 8)  # the numbers of NAME_settings_t one after the other
-            self.library[f"{self.machine.name}_settings"](settings.ctypes.data_as(ctypes.c_void_p))
+            pointer = settings.ctypes.data_as(ctypes.c_void_p)
+            self.library[f"{self.machine.name}_settings"](pointer)
             noise, n_x, n_p = weights.machine.estimator.noise, self.model.n_x, self.model.n_p
             settings[: 1 + n_x] = noise.measurement, *weights.state_noise
             if variant_of(self.model).drifts:
                 settings[1 + n_x + n_p : 1 + n_x + 2 * n_p] = weights.drift
-            self.library[f"{self.machine.name}_init_with"](memory, settings.ctypes.data_as(ctypes.c_void_p))
+            if self.library[f"{self.machine.name}_init_with"](memory, pointer) != 0:
+                raise ValueError(f"{self.machine.name} refuses the weights of {weights.machine.source}")
         return memory
 
     def estimate(self, signals: Signals, weights: Model | None = None, progress: Progress | None = None) -> Estimates:
